@@ -1,0 +1,395 @@
+"""
+The fused loop: an environment's dynamics and the functions of :mod:`sb3_adaptive_q.kernels`, compiled into one.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, types
+from numba.extending import NativeValue, models, overload, register_jitable, register_model, typeof_impl, unbox
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from sb3_adaptive_q import kernels
+from sb3_adaptive_q.compilation import FunctionSet, helpers_of, source_digest
+
+#: What may be wrong with a transition, so that it must not reach the table
+SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE = range(3)
+
+INLINED = {"forceinline": True}
+
+_functions: dict[tuple[str, str], dict[str, Callable]] = {}
+_compilable: set[Callable] = {kernels.next_rate}  # overloaded below
+
+
+class FunctionSetType(types.Opaque):
+    """The Numba type of a :class:`FunctionSet`: its identity, and nothing at run time."""
+
+    def __init__(self, identity: tuple[str, str]) -> None:
+        self.identity = identity
+        super().__init__(name=f"FunctionSet{identity}")
+
+    @property
+    def key(self) -> tuple[str, str]:
+        return self.identity
+
+
+register_model(FunctionSetType)(models.OpaqueModel)
+
+
+@typeof_impl.register(FunctionSet)
+def _type_of_function_set(value: FunctionSet, context: Any) -> FunctionSetType:
+    identity = (value.name, f"{value.digest}-{_loop_digest}")
+    if identity not in _functions:
+        _functions[identity] = value.functions
+        for function in value.functions.values():
+            make_compilable(function)
+    return FunctionSetType(identity)
+
+
+@unbox(FunctionSetType)
+def _unbox_function_set(numba_type: Any, value: Any, context: Any) -> NativeValue:
+    return NativeValue(context.context.get_dummy_value())
+
+
+def make_compilable(function: Callable) -> None:
+    """
+    Let compiled code call a plain function, and whatever plain functions that one calls.
+
+    :param function: a function of the subset of Python that Numba knows
+    """
+    for helper in helpers_of(function):
+        if helper not in _compilable:
+            _compilable.add(helper)
+            register_jitable(**INLINED)(helper)
+
+
+def reset_environment(dynamics, parameters, generator):
+    """``dynamics.reset``: draw an episode's first state."""
+    return dynamics.reset(parameters, generator)
+
+
+def step_environment(dynamics, parameters, state, action, generator):
+    """``dynamics.step``: (next state, reward, whether it is terminal)."""
+    return dynamics.step(parameters, state, action, generator)
+
+
+def index_environment(dynamics, parameters, state):
+    """``dynamics.index``: the row of the table that a state of the environment belongs to."""
+    return dynamics.index(parameters, state)
+
+
+@overload(kernels.next_rate, jit_options=INLINED)
+def _next_rate(rule, parameters, mu, transition):
+    function = _functions[rule.key]["function"]
+    return lambda rule, parameters, mu, transition: function(mu, transition, *parameters)
+
+
+@overload(reset_environment, jit_options=INLINED)
+def _reset_environment(dynamics, parameters, generator):
+    function = _functions[dynamics.key]["reset"]
+    return lambda dynamics, parameters, generator: function(parameters, generator)
+
+
+@overload(step_environment, jit_options=INLINED)
+def _step_environment(dynamics, parameters, state, action, generator):
+    function = _functions[dynamics.key]["step"]
+    return lambda dynamics, parameters, state, action, generator: function(parameters, state, action, generator)
+
+
+@overload(index_environment, jit_options=INLINED)
+def _index_environment(dynamics, parameters, state):
+    function = _functions[dynamics.key]["index"]
+    return lambda dynamics, parameters, state: function(parameters, state)
+
+
+def load_state(states, i, template):
+    """Row i of the states, as a number or a tuple like the template."""
+
+
+def store_state(states, i, state):
+    """Put a state, a number or a tuple, into row i of the states."""
+
+
+@overload(load_state, jit_options=INLINED)
+def _load_state(states, i, template):
+    if isinstance(template, types.BaseTuple):
+        size = len(template)
+        return lambda states, i, template: to_fixed_tuple(states[i], size)
+    number = types.int64 if isinstance(template, types.Integer) else types.float64
+    return lambda states, i, template: number(states[i, 0])
+
+
+@overload(store_state, jit_options=INLINED)
+def _store_state(states, i, state):
+    if isinstance(state, types.BaseTuple):
+        size = len(state)
+
+        def store(states, i, state):
+            for j in range(size):
+                states[i, j] = state[j]
+
+        return store
+
+    def store_number(states, i, state):
+        states[i, 0] = state
+
+    return store_number
+
+
+_PLAIN_FUNCTIONS = (kernels.learn_transition, kernels.progress_made, kernels.exploration_rate, kernels.record_update)
+_loop_digest = source_digest(*_PLAIN_FUNCTIONS)
+for _function in _PLAIN_FUNCTIONS:
+    make_compilable(_function)
+
+
+class Lanes(NamedTuple):
+    """
+    Where each of the n environments stands, and the transition it made last. All are arrays of length n, but ``states``.
+
+    :param states: the environments' own states, of shape (n, size of a state)
+    :param lengths: steps since the episode began
+    :param returns: rewards summed since the episode began
+    :param indices: s_t, as rows of the table
+    :param actions: a_t
+    :param rewards: r_t
+    :param next_indices: s_{t+1}, before any reset
+    :param terminated: whether s_{t+1} is terminal
+    :param dones: whether the transition ended the episode
+    :param start_indices: where the environment is now: s_{t+1}, or the next episode's first state
+    """
+
+    states: np.ndarray
+    lengths: np.ndarray
+    returns: np.ndarray
+    indices: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    next_indices: np.ndarray
+    terminated: np.ndarray
+    dones: np.ndarray
+    start_indices: np.ndarray
+
+
+class Lane(NamedTuple):
+    """One environment of :class:`Lanes`."""
+
+    state: Any
+    length: int
+    episode_return: float
+    index: int
+    action: int
+    reward: float
+    next_index: int
+    terminated: bool
+    done: bool
+    start_index: int
+
+
+class Record(NamedTuple):
+    """
+    What a stretch leaves behind. The first is of shape (steps, n_envs), the others have a row for each episode.
+
+    :param dones: whether a transition ended an episode
+    :param returns: an episode's sum of rewards
+    :param lengths: its steps
+    :param rates: μ in force at its last transition
+    :param epsilons: ε in force at its last transition
+    :param lanes: the environment it was played in
+    """
+
+    dones: np.ndarray
+    returns: np.ndarray
+    lengths: np.ndarray
+    rates: np.ndarray
+    epsilons: np.ndarray
+    lanes: np.ndarray
+
+
+class Counters(NamedTuple):
+    """
+    What moves with every transition.
+
+    :param mu: the step size of the next update
+    :param epsilon: ε in force
+    :param progress: the part of the training that is done
+    :param n_episodes: finished episodes whose last transition has been learned
+    :param num_timesteps: environment steps taken
+    """
+
+    mu: float
+    epsilon: float
+    progress: float
+    n_episodes: int
+    num_timesteps: int
+
+
+def load_lane(lanes, i, template):
+    """Environment i, as a value that the compiler can keep in registers."""
+    return Lane(
+        load_state(lanes.states, i, template), lanes.lengths[i], lanes.returns[i], lanes.indices[i], lanes.actions[i],
+        lanes.rewards[i], lanes.next_indices[i], lanes.terminated[i], lanes.dones[i], lanes.start_indices[i],
+    )  # fmt: skip
+
+
+def store_lane(lanes, i, lane):
+    """Put environment i back."""
+    store_state(lanes.states, i, lane.state)
+    lanes.lengths[i] = lane.length
+    lanes.returns[i] = lane.episode_return
+    lanes.indices[i] = lane.index
+    lanes.actions[i] = lane.action
+    lanes.rewards[i] = lane.reward
+    lanes.next_indices[i] = lane.next_index
+    lanes.terminated[i] = lane.terminated
+    lanes.dones[i] = lane.done
+    lanes.start_indices[i] = lane.start_index
+
+
+def advance_lane(dynamics, parameters, generator, max_episode_steps, lane):
+    """
+    Take one step and, where it ends the episode, reset the environment.
+
+    :return: the lane after it; its length and return are still those of the episode that the step belongs to
+    """
+    state, reward, terminated = step_environment(dynamics, parameters, lane.state, lane.action, generator)
+    next_index = index_environment(dynamics, parameters, state)
+    length = lane.length + 1
+    done = terminated or length >= max_episode_steps
+    start_index = next_index
+    if done:
+        state = reset_environment(dynamics, parameters, generator)
+        start_index = index_environment(dynamics, parameters, state)
+    episode_return = lane.episode_return + reward
+    reward = np.float32(reward)  # as a VecEnv hands it on
+    return Lane(
+        state, length, episode_return, lane.index, lane.action, reward, next_index, terminated, done, start_index
+    )  # fmt: skip
+
+
+def flaw_of(dynamics, lane, n_states):
+    """What forbids learning from the lane's last transition, or ``SOUND``."""
+
+
+def check_lane(lane, n_states):
+    """
+    :return: what forbids learning from the lane's last transition, or ``SOUND``
+    """
+    if not (0 <= lane.next_index < n_states and 0 <= lane.start_index < n_states):
+        return STATE_OUT_OF_RANGE
+    return SOUND if np.isfinite(lane.reward) else REWARD_NOT_FINITE
+
+
+def begin_episode(lane):
+    """The lane with nothing counted yet."""
+    return Lane(
+        lane.state, 0, 0.0, lane.index, lane.action,
+        lane.reward, lane.next_index, lane.terminated, lane.done, lane.start_index,
+    )  # fmt: skip
+
+
+def continue_lane(lane, action):
+    """The lane with its last transition behind it, about to take the action."""
+    return Lane(
+        lane.state, lane.length, lane.episode_return, lane.start_index, action,
+        lane.reward, lane.next_index, lane.terminated, lane.done, lane.start_index,
+    )  # fmt: skip
+
+
+def record_episode(record, row, lane, i, counters):
+    """Note the episode that environment i has just finished."""
+    record.returns[row] = lane.episode_return
+    record.lengths[row] = lane.length
+    record.rates[row] = counters.mu
+    record.epsilons[row] = counters.epsilon
+    record.lanes[row] = i
+
+
+def tick(learner, counters, n_envs):
+    """
+    Count a step of every environment, on which ε and Eqs. 5 and 6 may depend.
+
+    :return: the counters after it
+    """
+    num_timesteps = counters.num_timesteps + n_envs
+    progress, epsilon = counters.progress, counters.epsilon
+    if learner.total_episodes == 0:
+        progress = kernels.progress_made(learner, num_timesteps, 0)
+        epsilon = kernels.exploration_rate(learner, progress)
+    return Counters(counters.mu, epsilon, progress, counters.n_episodes, num_timesteps)
+
+
+for _function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, tick):
+    make_compilable(_function)
+
+
+make_compilable(check_lane)
+
+
+@overload(flaw_of, jit_options=INLINED)
+def _flaw_of(dynamics, lane, n_states):
+    if "trusted" in dynamics.key[0]:
+        return lambda dynamics, lane, n_states: SOUND
+    return lambda dynamics, lane, n_states: check_lane(lane, n_states)
+
+
+@njit(nogil=True, _nrt=False)  # counting references to the arrays in the loop would triple its time
+def _stretch(
+    dynamics, parameters, generators, template, max_episode_steps, lanes,
+    table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
+):  # fmt: skip
+    n_envs = lanes.actions.shape[0]
+    lane = load_lane(lanes, 0, template)
+    flaw, step, n_ended = SOUND, 0, 0
+    while True:
+        for i in range(n_envs):
+            if n_envs > 1:
+                lane = load_lane(lanes, i, template)
+            lane = advance_lane(dynamics, parameters, generators[i], max_episode_steps, lane)
+            flaw = max(flaw, flaw_of(dynamics, lane, table.shape[0]))
+            if lane.done:
+                record.dones[step, i] = True
+                record_episode(record, n_ended, lane, i, counters)
+                lane = begin_episode(lane)
+                n_ended += 1
+            if n_envs > 1:
+                store_lane(lanes, i, lane)
+        step += 1
+        counters = tick(learner, counters, n_envs)
+        if step == max_steps or n_ended >= max_episodes or flaw != SOUND:
+            break
+        for i in range(n_envs):
+            if n_envs > 1:
+                lane = load_lane(lanes, i, template)
+            action, mu, epsilon, progress, n_episodes, td_error = kernels.learn_transition(
+                table, generator, learner, rule, rule_parameters,
+                counters.mu, counters.epsilon, counters.progress, counters.n_episodes,
+                lane.index, lane.action, np.float64(lane.reward), lane.next_index, lane.terminated,
+                lane.done, lane.start_index,
+            )  # fmt: skip
+            statistics = kernels.record_update(statistics, counters.mu, td_error)
+            counters = Counters(mu, epsilon, progress, n_episodes, counters.num_timesteps)
+            lane = continue_lane(lane, action)
+            if n_envs > 1:
+                store_lane(lanes, i, lane)
+    if n_envs == 1:
+        store_lane(lanes, 0, lane)
+    return flaw, step, n_ended, counters, statistics
+
+
+def _fresh_parameters(dynamics, parameters):
+    """The parameters as the class that the dynamics' functions expect."""
+
+
+def _run_stretch(
+    dynamics, parameters, generators, template, max_episode_steps, lanes,
+    table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
+):  # fmt: skip
+    """The entry from Python, where references do have to be counted."""
+    return _stretch(
+        dynamics, parameters, generators, template, max_episode_steps, lanes,
+        table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
+    )  # fmt: skip
+
+
+run_stretch = njit(nogil=True)(_run_stretch)

@@ -1,0 +1,114 @@
+"""The table as an SB3 policy."""
+
+from typing import Any
+
+import numpy as np
+import psutil
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+
+from sb3_adaptive_q.state_index import StateIndex
+
+
+class TabularQPolicy(BasePolicy):
+    """
+    A table of action values, greedy in every state; the first of the best actions where they tie.
+
+    What learning changes are its two buffers, both float64: a step of 1e-9 would be lost in float32.
+
+    - ``q_table``, of shape (n_states, n_actions)
+    - ``mu``, of shape (1,): the step size of the next update
+
+    :param observation_space: Discrete, MultiDiscrete or MultiBinary
+    :param action_space: Discrete
+    :param lr_schedule: the learning rate by the remaining progress; its value at 1 is the first step size
+    :param initial_q: what every entry of the table starts from
+    :raises ValueError: if a space is of another kind
+    :raises MemoryError: if the table would not fit into the memory that is free
+    """
+
+    q_table: th.Tensor
+    mu: th.Tensor
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        lr_schedule: Schedule,
+        initial_q: float = 0.0,
+    ) -> None:
+        super().__init__(observation_space, action_space)
+        self.state_index = StateIndex(observation_space)
+        self.initial_q = initial_q
+        n_actions = count_actions(action_space)
+        _check_memory(self.state_index.n_states, n_actions)
+        self.register_buffer("q_table", th.full((self.state_index.n_states, n_actions), initial_q, dtype=th.float64))
+        self.register_buffer("mu", th.full((1,), lr_schedule(1), dtype=th.float64))
+
+    def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
+        return self._predict(obs, deterministic)
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
+        assert isinstance(observation, th.Tensor)
+        return th.as_tensor(self._greedy_actions(observation.cpu().numpy()))
+
+    def predict(
+        self,
+        observation: np.ndarray | dict[str, np.ndarray],
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
+        """
+        The greedy action; without a detour through PyTorch, which costs several times the look-up.
+
+        :param observation: one observation or a batch of them
+        :param state: handed back as it is
+        :param episode_start: unused
+        :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds ε-greedy exploration
+        :return: the action or the batch of actions, and ``state``
+        :raises ValueError: if an observation lies outside the observation space
+        """
+        if isinstance(observation, tuple | dict):
+            return super().predict(observation, state, episode_start, deterministic)  # type: ignore[arg-type]
+        observation = np.asarray(observation)
+        is_batch = self.is_vectorized_observation(observation)
+        actions = self._greedy_actions(observation.reshape(-1, *self.observation_space.shape))  # type: ignore[misc]
+        return (actions if is_batch else actions[0]), state  # type: ignore[return-value]
+
+    def _greedy_actions(self, observations: np.ndarray) -> np.ndarray:
+        rows = self.q_table.numpy()[self.state_index.of_batch(observations)]
+        return rows.argmax(axis=1) + int(self.action_space.start)  # type: ignore[attr-defined]
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        del data["normalize_images"]
+        return {**data, "lr_schedule": self._dummy_schedule, "initial_q": self.initial_q}
+
+
+def count_actions(space: spaces.Space) -> int:
+    """
+    :param space: the action space
+    :return: how many actions it has
+    :raises ValueError: if it is not Discrete
+    """
+    if not isinstance(space, spaces.Discrete):
+        raise ValueError(
+            f"TabularQ needs a Discrete action space, but got {space}: wrap the environment in a "
+            "`gymnasium.ActionWrapper` that numbers the actions to choose from."
+        )
+    return int(space.n)
+
+
+def _check_memory(n_states: int, n_actions: int) -> None:
+    needed, free = 8 * n_states * n_actions, psutil.virtual_memory().available
+    if needed > free:
+        raise MemoryError(
+            f"A table of {n_states} states and {n_actions} actions takes {needed / 2**30:.1f} GiB, but "
+            f"{free / 2**30:.1f} GiB of memory are free: use fewer cells, or fewer components of the observation."
+        )
+
+
+MlpPolicy = TabularQPolicy

@@ -1,0 +1,113 @@
+"""How transitions are made and learned from: one step of the environment at a time."""
+
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_adaptive_q import kernels
+
+if TYPE_CHECKING:
+    from sb3_adaptive_q.tabular_q import TabularQ
+
+NO_UPDATES = (0, 0.0, inf, -inf, 0.0)
+
+
+class StepRollout:
+    """
+    Steps the environments once, and learns from the n transitions in their order, each with the table and the μ that
+    the one before it left.
+
+    :param model: the model that learns
+    :param learner: what stays as it is in this training
+    """
+
+    def __init__(self, model: "TabularQ", learner: kernels.Learner) -> None:
+        assert model.env is not None
+        self.model = model
+        self.env: VecEnv = model.env
+        self.learner = learner
+        self.progress = kernels.progress_made(learner, model.num_timesteps, model._episode_num)
+        model.exploration_rate = kernels.exploration_rate(learner, self.progress)
+        self.state_index = model.policy.state_index
+        self.states = self._states_of(model._last_obs)
+        self.first_action = int(model.action_space.start)  # type: ignore[attr-defined]
+        if model._next_actions is None:
+            model._next_actions = [self._choose_action(state) for state in self.states]
+        self.actions = model._next_actions
+
+    def advance(self) -> tuple[np.ndarray, Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """
+        Take the chosen actions.
+
+        :return: actions, new observations, rewards, whether an episode ended, infos, as ``VecEnv.step`` has them
+        """
+        actions = np.array(self.actions)
+        if self.first_action:
+            actions += self.first_action
+        new_obs, rewards, dones, infos = self.env.step(actions)
+        self.model.num_timesteps += self.env.num_envs
+        self.infos, self.dones = infos, dones.tolist()
+        self.transitions = self._transitions(self._states_of(new_obs), rewards.tolist())
+        return actions, new_obs, rewards, dones, infos
+
+    def learn(self) -> None:
+        """
+        Learn from the transitions that were made last, and choose the next actions.
+
+        :raises ValueError: if a reward is not a finite number; the table stays as it was
+        """
+        self._check_rewards()
+        self._note_episodes()
+        model, learner = self.model, self.learner
+        if learner.total_episodes == 0:
+            self.progress = kernels.progress_made(learner, model.num_timesteps, 0)
+            model.exploration_rate = kernels.exploration_rate(learner, self.progress)
+        mu, epsilon, progress, n_episodes = model.mu, model.exploration_rate, self.progress, model._episode_num
+        for i, transition in enumerate(self.transitions):
+            self.actions[i], next_mu, epsilon, progress, n_episodes, td_error = kernels.learn_transition(
+                model._table, model._generator, learner, model._rule, model._rule_arguments,
+                mu, epsilon, progress, n_episodes, self.states[i], self.actions[i], *transition,
+            )  # fmt: skip
+            model._statistics = kernels.record_update(model._statistics, mu, td_error)
+            mu = next_mu
+            self.states[i] = transition[-1]
+        model._mu[0] = mu
+        model.exploration_rate, self.progress, model._episode_num = epsilon, progress, n_episodes
+        model._n_updates += len(self.transitions)
+
+    def abandon(self) -> None:
+        """Leave the last transitions unlearned, as SB3 does when a callback ends the training; their episodes count."""
+        self._note_episodes()
+        self.model._episode_num += sum(self.dones)
+        self.model._next_actions = None
+
+    def _note_episodes(self) -> None:
+        if True in self.dones:
+            self.model._update_info_buffer(self.infos, np.array(self.dones))
+
+    def _transitions(self, states: list[int], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
+        """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
+        transitions = []
+        for reward, done, info, state in zip(rewards, self.dones, self.infos, states, strict=True):
+            next_state, terminated = state, done
+            if done and info.get("TimeLimit.truncated", False):
+                next_state, terminated = self.state_index.of(np.asarray(info["terminal_observation"]).tolist()), False
+            transitions.append((reward, next_state, terminated, done, state))
+        return transitions
+
+    def _states_of(self, observations: Any) -> list[int]:
+        return [self.state_index.of(observation) for observation in observations.tolist()]
+
+    def _choose_action(self, state: int) -> int:
+        model = self.model
+        return kernels.choose_action(model._table, state, model.exploration_rate, model._generator)
+
+    def _check_rewards(self) -> None:
+        for i, (reward, *_) in enumerate(self.transitions):
+            if not isfinite(reward):
+                raise ValueError(
+                    f"Rewards must be finite, but at step {self.model.num_timesteps} environment {i} gave {reward} for "
+                    f"action {self.actions[i] + self.first_action} in state {self.states[i]}: please check its reward."
+                )

@@ -1,0 +1,5 @@
+"""Gymnasium wrappers for tabular learners."""
+
+from wrappers.discretize import DiscretizeObservation
+
+__all__ = ["DiscretizeObservation"]
