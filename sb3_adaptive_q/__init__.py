@@ -6,6 +6,7 @@ import sb3_adaptive_q.envs  # registers the environments  # noqa: F401
 from sb3_adaptive_q.callbacks import (
     METHODS,
     ConstantRateCallback,
+    EpisodeSeriesCallback,
     LearningRateCallback,
     LinearDecayCallback,
     LinearGrowthCallback,
@@ -15,13 +16,15 @@ from sb3_adaptive_q.callbacks import (
 )
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy
 from sb3_adaptive_q.tabular_q import TabularQ
-from sb3_adaptive_q.vec_env import LeanVecEnv
+from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 __version__ = (Path(__file__).parent / "version.txt").read_text().strip()
 
 __all__ = [
     "METHODS",
+    "CompiledVecEnv",
     "ConstantRateCallback",
+    "EpisodeSeriesCallback",
     "LeanVecEnv",
     "LearningRateCallback",
     "LinearDecayCallback",

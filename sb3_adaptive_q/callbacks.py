@@ -5,10 +5,12 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EventCallback
 
 from sb3_adaptive_q import rules
 from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
+from sb3_adaptive_q.rollouts import Episodes
 
 
 class LearningRateCallback(BaseCallback):
@@ -200,6 +202,33 @@ def method(number: int, **parameters: Any) -> LearningRateCallback:
     if unknown:
         raise ValueError(f"Method {number} has the parameters {', '.join(known)}, but got {', '.join(unknown)}.")
     return make(**parameters)
+
+
+class EpisodeSeriesCallback(BaseCallback):
+    """
+    Keeps what every finished episode was like, as arrays with a row for each. Needs SB3's Monitor around the environment,
+    as for the log, unless the environment is compiled.
+
+    After ``learn``: ``returns``, ``lengths``, ``rates`` (μ in force at the last transition) and ``epsilons``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._parts: list[Episodes] = []
+
+    def _on_training_start(self) -> None:
+        self._parts = []
+
+    def _on_step(self) -> bool:
+        episodes = self.locals["rollout"].finished_episodes()
+        if len(episodes.returns):
+            self._parts.append(episodes)
+        return True
+
+    def _on_training_end(self) -> None:
+        empty = Episodes(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+        columns = zip(*(self._parts or [empty]), strict=True)
+        self.returns, self.lengths, self.rates, self.epsilons = (np.concatenate(column) for column in columns)
 
 
 def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:

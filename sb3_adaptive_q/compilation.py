@@ -23,21 +23,38 @@ class FunctionSet:
     never needs to import a user's module in order to be read.
 
     :param name: who they are, unique and equal in every process
+    :param container: the named tuple that they expect their parameters in, or ``tuple``
     :param functions: the functions by the name under which the loop calls them
     """
 
-    def __init__(self, name: str, **functions: Callable) -> None:
+    def __init__(self, name: str, container: type = tuple, **functions: Callable[..., Any]) -> None:
         self.name = name
+        self.container = container
         self.functions = functions
         self.__dict__.update(functions)  # a plain attribute is what costs least on the per-step path
 
     @cached_property
     def digest(self) -> str:
         """Differs when one of the functions, or what it calls, was edited."""
-        return source_digest(*self.functions.values())
+        return source_digest(*self.functions.values()) + "-".join(getattr(self.container, "_fields", ()))
 
 
-def source_digest(*functions: Callable) -> str:
+def compile_cached(function: Callable[..., Any]) -> Any:
+    """
+    Compile a function without the interpreter lock, and keep the machine code on disk where there is a place for it.
+
+    :param function: a function of the part of Python that Numba compiles
+    :return: its compiled form
+    """
+    from numba import njit
+
+    try:
+        return njit(function, nogil=True, cache=True)
+    except RuntimeError:  # a read-only installation and no home directory: Numba finds no place for its cache
+        return njit(function, nogil=True)
+
+
+def source_digest(*functions: Callable[..., Any]) -> str:
     """
     :param functions: functions whose byte code, defaults, constants and helpers count
     :return: a hexadecimal digest that is equal in every process, and differs when any of it was edited
@@ -48,7 +65,7 @@ def source_digest(*functions: Callable) -> str:
     return digest.hexdigest()[:20]
 
 
-def helpers_of(function: Callable) -> list[types.FunctionType]:
+def helpers_of(function: Callable[..., Any]) -> list[types.FunctionType]:
     """
     :param function: a function
     :return: the plain functions that it calls by name, directly or through others, itself first

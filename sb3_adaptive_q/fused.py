@@ -11,14 +11,13 @@ from numba.extending import NativeValue, models, overload, register_jitable, reg
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from sb3_adaptive_q import kernels
-from sb3_adaptive_q.compilation import FunctionSet, helpers_of, source_digest
-
-#: What may be wrong with a transition, so that it must not reach the table
-SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE = range(3)
+from sb3_adaptive_q.compilation import FunctionSet, compile_cached, helpers_of, source_digest
+from sb3_adaptive_q.vec_env.dynamics import SOUND
 
 INLINED = {"forceinline": True}
 
 _functions: dict[tuple[str, str], dict[str, Callable]] = {}
+_containers: dict[tuple[str, str], type] = {}
 _compilable: set[Callable] = {kernels.next_rate}  # overloaded below
 
 
@@ -42,6 +41,7 @@ def _type_of_function_set(value: FunctionSet, context: Any) -> FunctionSetType:
     identity = (value.name, f"{value.digest}-{_loop_digest}")
     if identity not in _functions:
         _functions[identity] = value.functions
+        _containers[identity] = value.container
         for function in value.functions.values():
             make_compilable(function)
     return FunctionSetType(identity)
@@ -101,6 +101,29 @@ def _step_environment(dynamics, parameters, state, action, generator):
 def _index_environment(dynamics, parameters, state):
     function = _functions[dynamics.key]["index"]
     return lambda dynamics, parameters, state: function(parameters, state)
+
+
+def flaw_of_transition(dynamics, next_index, start_index, reward, n_states):
+    """``dynamics.flaw``: what forbids learning from a transition, or ``SOUND``."""
+    return dynamics.flaw(next_index, start_index, reward, n_states)
+
+
+def name_parameters(dynamics, parameters):
+    """The parameters as the named tuple that the dynamics expect; by name, so that the disk cache needs no user's class."""
+
+
+@overload(flaw_of_transition, jit_options=INLINED)
+def _flaw_of_transition(dynamics, next_index, start_index, reward, n_states):
+    function = _functions[dynamics.key]["flaw"]
+    return lambda dynamics, next_index, start_index, reward, n_states: function(next_index, start_index, reward, n_states)
+
+
+@overload(name_parameters, jit_options=INLINED)
+def _name_parameters(dynamics, parameters):
+    container = _containers[dynamics.key]
+    if container is tuple:
+        return lambda dynamics, parameters: parameters
+    return lambda dynamics, parameters: container(*parameters)
 
 
 def load_state(states, i, template):
@@ -267,19 +290,6 @@ def advance_lane(dynamics, parameters, generator, max_episode_steps, lane):
     )  # fmt: skip
 
 
-def flaw_of(dynamics, lane, n_states):
-    """What forbids learning from the lane's last transition, or ``SOUND``."""
-
-
-def check_lane(lane, n_states):
-    """
-    :return: what forbids learning from the lane's last transition, or ``SOUND``
-    """
-    if not (0 <= lane.next_index < n_states and 0 <= lane.start_index < n_states):
-        return STATE_OUT_OF_RANGE
-    return SOUND if np.isfinite(lane.reward) else REWARD_NOT_FINITE
-
-
 def begin_episode(lane):
     """The lane with nothing counted yet."""
     return Lane(
@@ -305,6 +315,22 @@ def record_episode(record, row, lane, i, counters):
     record.lanes[row] = i
 
 
+def learn_lane(table, generator, learner, rule, rule_parameters, counters, statistics, lane):
+    """
+    Learn from the lane's last transition.
+
+    :return: the lane about to take its next action, the counters and the statistics
+    """
+    action, mu, epsilon, progress, n_episodes, td_error = kernels.learn_transition(
+        table, generator, learner, rule, rule_parameters,
+        counters.mu, counters.epsilon, counters.progress, counters.n_episodes,
+        lane.index, lane.action, np.float64(lane.reward), lane.next_index, lane.terminated, lane.done, lane.start_index,
+    )  # fmt: skip
+    statistics = kernels.record_update(statistics, counters.mu, td_error)
+    counters = Counters(mu, epsilon, progress, n_episodes, counters.num_timesteps)
+    return continue_lane(lane, action), counters, statistics
+
+
 def tick(learner, counters, n_envs):
     """
     Count a step of every environment, on which ε and Eqs. 5 and 6 may depend.
@@ -319,18 +345,8 @@ def tick(learner, counters, n_envs):
     return Counters(counters.mu, epsilon, progress, counters.n_episodes, num_timesteps)
 
 
-for _function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, tick):
+for _function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, learn_lane, tick):
     make_compilable(_function)
-
-
-make_compilable(check_lane)
-
-
-@overload(flaw_of, jit_options=INLINED)
-def _flaw_of(dynamics, lane, n_states):
-    if "trusted" in dynamics.key[0]:
-        return lambda dynamics, lane, n_states: SOUND
-    return lambda dynamics, lane, n_states: check_lane(lane, n_states)
 
 
 @njit(nogil=True, _nrt=False)  # counting references to the arrays in the loop would triple its time
@@ -339,57 +355,52 @@ def _stretch(
     table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
 ):  # fmt: skip
     n_envs = lanes.actions.shape[0]
+    is_single = n_envs == 1  # then the lane stays in registers
     lane = load_lane(lanes, 0, template)
     flaw, step, n_ended = SOUND, 0, 0
     while True:
         for i in range(n_envs):
-            if n_envs > 1:
-                lane = load_lane(lanes, i, template)
+            lane = lane if is_single else load_lane(lanes, i, template)
             lane = advance_lane(dynamics, parameters, generators[i], max_episode_steps, lane)
-            flaw = max(flaw, flaw_of(dynamics, lane, table.shape[0]))
+            flaw = max(flaw, flaw_of_transition(dynamics, lane.next_index, lane.start_index, lane.reward, table.shape[0]))
             if lane.done:
                 record.dones[step, i] = True
                 record_episode(record, n_ended, lane, i, counters)
                 lane = begin_episode(lane)
                 n_ended += 1
-            if n_envs > 1:
+            if not is_single:
                 store_lane(lanes, i, lane)
         step += 1
-        counters = tick(learner, counters, n_envs)
         if step == max_steps or n_ended >= max_episodes or flaw != SOUND:
             break
+        counters = tick(learner, counters, n_envs)
         for i in range(n_envs):
-            if n_envs > 1:
-                lane = load_lane(lanes, i, template)
-            action, mu, epsilon, progress, n_episodes, td_error = kernels.learn_transition(
-                table, generator, learner, rule, rule_parameters,
-                counters.mu, counters.epsilon, counters.progress, counters.n_episodes,
-                lane.index, lane.action, np.float64(lane.reward), lane.next_index, lane.terminated,
-                lane.done, lane.start_index,
-            )  # fmt: skip
-            statistics = kernels.record_update(statistics, counters.mu, td_error)
-            counters = Counters(mu, epsilon, progress, n_episodes, counters.num_timesteps)
-            lane = continue_lane(lane, action)
-            if n_envs > 1:
+            lane = lane if is_single else load_lane(lanes, i, template)
+            lane, counters, statistics = learn_lane(
+                table, generator, learner, rule, rule_parameters, counters, statistics, lane
+            )
+            if not is_single:
                 store_lane(lanes, i, lane)
-    if n_envs == 1:
+    if is_single:
         store_lane(lanes, 0, lane)
     return flaw, step, n_ended, counters, statistics
-
-
-def _fresh_parameters(dynamics, parameters):
-    """The parameters as the class that the dynamics' functions expect."""
 
 
 def _run_stretch(
     dynamics, parameters, generators, template, max_episode_steps, lanes,
     table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
 ):  # fmt: skip
-    """The entry from Python, where references do have to be counted."""
+    """
+    Take steps in every environment and learn from all of them but the last, until ``max_steps`` are taken or
+    ``max_episodes`` have ended.
+
+    :return: (what is wrong with the last transition, steps, finished episodes, counters, statistics)
+    """
+    # The entry from Python counts references, once; the loop does not
     return _stretch(
-        dynamics, parameters, generators, template, max_episode_steps, lanes,
+        dynamics, name_parameters(dynamics, parameters), generators, template, max_episode_steps, lanes,
         table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
     )  # fmt: skip
 
 
-run_stretch = njit(nogil=True)(_run_stretch)
+run_stretch = compile_cached(_run_stretch)

@@ -1,7 +1,7 @@
 """How transitions are made and learned from: one step of the environment at a time."""
 
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
@@ -12,6 +12,22 @@ if TYPE_CHECKING:
     from sb3_adaptive_q.tabular_q import TabularQ
 
 NO_UPDATES = (0, 0.0, inf, -inf, 0.0)
+
+
+class Episodes(NamedTuple):
+    """
+    Finished episodes, one row each.
+
+    :param returns: sums of rewards, rounded to six decimals as SB3's Monitor does
+    :param lengths: steps
+    :param rates: μ in force at the last transition
+    :param epsilons: ε in force at the last transition
+    """
+
+    returns: np.ndarray
+    lengths: np.ndarray
+    rates: np.ndarray
+    epsilons: np.ndarray
 
 
 class StepRollout:
@@ -82,6 +98,18 @@ class StepRollout:
         self._note_episodes()
         self.model._episode_num += sum(self.dones)
         self.model._next_actions = None
+
+    def finished_episodes(self) -> Episodes:
+        """
+        :return: the episodes that ended since the last call of the callbacks, as far as a Monitor saw them
+        """
+        infos = [info["episode"] for info in self.infos if "episode" in info]
+        return Episodes(
+            np.array([info["r"] for info in infos], dtype=np.float64),
+            np.array([info["l"] for info in infos], dtype=np.int64),
+            np.full(len(infos), self.model.mu),
+            np.full(len(infos), self.model.exploration_rate),
+        )
 
     def _note_episodes(self) -> None:
         if True in self.dones:

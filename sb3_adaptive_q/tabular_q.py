@@ -9,6 +9,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import BasePolicy
@@ -24,7 +25,7 @@ from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.rollouts import NO_UPDATES, StepRollout
 from sb3_adaptive_q.state_index import StateIndex
-from sb3_adaptive_q.vec_env import LeanVecEnv
+from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 SelfTabularQ = TypeVar("SelfTabularQ", bound="TabularQ")
 
@@ -225,7 +226,7 @@ class TabularQ(BaseAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         callback.on_training_start(locals(), globals())
-        rollout = self._begin_rollout(reset_num_timesteps)
+        rollout = self._begin_rollout(callback, reset_num_timesteps)
         while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
             callback.on_rollout_start()
             actions, new_obs, rewards, dones, infos = rollout.advance()
@@ -242,15 +243,22 @@ class TabularQ(BaseAlgorithm):
         callback.on_training_end()
         return self
 
-    def _begin_rollout(self, restart: bool) -> StepRollout:
+    def _begin_rollout(self, callback: BaseCallback, restart: bool) -> StepRollout:
         if restart:
             self._next_actions = None
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         self._last_dump = self._episode_num
         self._statistics = NO_UPDATES
-        rollout = StepRollout(self, self._make_learner())
+        rollout = self._make_rollout(callback)
         self._start_rate(1.0 - rollout.progress, restart)
         return rollout
+
+    def _make_rollout(self, callback: BaseCallback) -> StepRollout:
+        if not isinstance(self.env, CompiledVecEnv):
+            return StepRollout(self, self._make_learner())
+        from sb3_adaptive_q.fused_rollout import FusedRollout  # imports Numba, which the per-step path does without
+
+        return FusedRollout(self, self._make_learner(), callback)
 
     def _make_learner(self) -> kernels.Learner:
         decay = self.exploration_final_eps - self.exploration_initial_eps

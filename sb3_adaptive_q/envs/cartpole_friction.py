@@ -56,17 +56,17 @@ def friction_dynamics(
     :param parameters: constants of the system
     :return: x, x_dot, theta and theta_dot one time step later
     """
-    gravity, cart_mass, pole_mass, half_length, _, time_step, cart_friction, pole_friction, _, _ = parameters
-    total_mass = pole_mass + cart_mass
-    pole_moment = pole_mass * half_length
+    total_mass = parameters.pole_mass + parameters.cart_mass
+    pole_moment = parameters.pole_mass * parameters.half_length
     cos_theta = math.cos(theta)
     sin_theta = math.sin(theta)
     sign = 1.0 if x_dot > 0.0 else (-1.0 if x_dot < 0.0 else 0.0)
-    drive = (force + pole_moment * (theta_dot * theta_dot) * sin_theta - cart_friction * sign) / total_mass
-    theta_acceleration = (gravity * sin_theta - cos_theta * drive - pole_friction * theta_dot / pole_moment) / (
-        half_length * (4.0 / 3.0 - pole_mass * (cos_theta * cos_theta) / total_mass)
-    )
+    drive = (force + pole_moment * (theta_dot * theta_dot) * sin_theta - parameters.cart_friction * sign) / total_mass
+    theta_acceleration = (
+        parameters.gravity * sin_theta - cos_theta * drive - parameters.pole_friction * theta_dot / pole_moment
+    ) / (parameters.half_length * (4.0 / 3.0 - parameters.pole_mass * (cos_theta * cos_theta) / total_mass))
     x_acceleration = drive - pole_moment * theta_acceleration * cos_theta / total_mass
+    time_step = parameters.time_step
     return (
         x + time_step * x_dot,
         x_dot + time_step * x_acceleration,

@@ -1,5 +1,7 @@
 """Vectorised environments that keep up with a table."""
 
+from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, as_float32, grid_index, register_dynamics
 from sb3_adaptive_q.vec_env.lean_vec_env import LeanVecEnv
 
-__all__ = ["LeanVecEnv"]
+__all__ = ["CompiledVecEnv", "Dynamics", "Grid", "LeanVecEnv", "as_float32", "grid_index", "register_dynamics"]

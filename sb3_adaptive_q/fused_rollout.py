@@ -1,0 +1,183 @@
+"""How transitions are made and learned from on a compiled environment: a stretch of them at a time."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba.core.errors import NumbaError
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_adaptive_q import fused, kernels
+from sb3_adaptive_q.rollouts import Episodes, StepRollout
+from sb3_adaptive_q.stretches import episodes_until_due, skip_steps, steps_until_due
+from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv, episode_info
+from sb3_adaptive_q.vec_env.dynamics import STATE_OUT_OF_RANGE
+
+if TYPE_CHECKING:
+    from sb3_adaptive_q.tabular_q import TabularQ
+
+#: Steps of every environment between two calls of a user's callback: where a stretch's fixed cost is lost in it
+DEFAULT_INTERVAL = 65_536
+
+
+class FusedRollout(StepRollout):
+    """
+    Steps the environments many times, learning in between, and leaves the last transition of each unlearned: a callback
+    finds the table as it would on the per-step path, and :meth:`learn` is the per-step path's own.
+
+    :param model: the model that learns
+    :param learner: what stays as it is in this training
+    :param callback: what is called after every stretch; SB3's own callbacks in it bound the stretches
+    """
+
+    env: CompiledVecEnv
+
+    def __init__(self, model: "TabularQ", learner: kernels.Learner, callback: BaseCallback) -> None:
+        super().__init__(model, learner)
+        self.callback = callback
+        self.twins = self.env.compile()
+        self.generators = tuple(twin.unwrapped.np_random for twin in self.twins)
+        self.dynamics = self.twins[0].dynamics.function_set()
+        self.parameters = tuple(self.twins[0].dynamics.parameters)
+        self.template = self.twins[0].dynamics.read_state()
+        self.lanes = self._read_lanes()
+        self.interval = model.callback_interval or DEFAULT_INTERVAL
+        self.record = _empty_record(self.interval * self.env.num_envs)
+
+    def advance(self) -> tuple[np.ndarray, Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """
+        Run a stretch.
+
+        :return: as on the per-step path for the last transition, but for the third: whether an episode ended, for every
+            step of the stretch, of shape (steps, n_envs)
+        """
+        max_steps, max_episodes = self._limits()
+        dones = np.zeros((max_steps, self.env.num_envs), dtype=bool)
+        n_steps = self._run(dones, max_steps, max_episodes)
+        skip_steps(self.callback, n_steps - 1, self.env.num_envs)
+        lanes = self.lanes
+        for i, twin in enumerate(self.twins):
+            state = lanes.states[i].tolist() if isinstance(self.template, tuple) else lanes.states[i, 0]
+            twin.put(state, int(lanes.lengths[i]), float(lanes.returns[i]), n_steps)
+        self.dones = lanes.dones.tolist()
+        self.infos = self._last_infos()
+        self.transitions = list(
+            zip(
+                lanes.rewards.tolist(), lanes.next_indices.tolist(), lanes.terminated.tolist(), self.dones,
+                lanes.start_indices.tolist(), strict=True,
+            )
+        )  # fmt: skip
+        new_obs = self.state_index.observations(lanes.start_indices)
+        return np.array(self.actions) + self.first_action, new_obs, lanes.rewards.copy(), dones[:n_steps], self.infos
+
+    def finished_episodes(self) -> Episodes:
+        record, end = self.record, self.n_ended
+        return Episodes(
+            _round_as_monitor(record.returns[:end]), record.lengths[:end].copy(), record.rates[:end].copy(),
+            record.epsilons[:end].copy(),
+        )  # fmt: skip
+
+    def _limits(self) -> tuple[int, int]:
+        model, n_envs = self.model, self.env.num_envs
+        steps_left = -(-(model._total_timesteps - model.num_timesteps) // n_envs)
+        episodes_left = model._total_episodes - model._episode_num
+        max_steps = min(self.interval, steps_left, steps_until_due(self.callback, model.num_timesteps, n_envs))
+        max_episodes = min(episodes_left, episodes_until_due(self.callback), 2**62)
+        return int(max_steps), int(max_episodes)
+
+    def _run(self, dones: np.ndarray, max_steps: int, max_episodes: int) -> int:
+        model, lanes = self.model, self.lanes
+        lanes.actions[:] = self.actions
+        lanes.indices[:] = self.states
+        counters = fused.Counters(model.mu, model.exploration_rate, self.progress, model._episode_num, model.num_timesteps)
+        try:
+            flaw, n_steps, self.n_ended, counters, statistics = fused.run_stretch(
+                self.dynamics, self.parameters, self.generators, self.template, self.twins[0].max_episode_steps, lanes,
+                model.q_table, model._generator, self.learner, model._rule, model._rule_arguments,
+                counters, model._statistics, self.record._replace(dones=dones), max_steps, max_episodes,
+            )  # fmt: skip
+        except NumbaError as error:
+            raise ValueError(
+                f"The rule {model._rule.name} or the dynamics {self.dynamics.name} do not compile. LeanVecEnv runs any "
+                f"Python function; what Numba says of this one:\n{error}"
+            ) from error
+        model._n_updates += statistics[0] - model._statistics[0]
+        model._mu[0], model.exploration_rate, self.progress, model._episode_num, _ = counters
+        model.num_timesteps += n_steps * self.env.num_envs
+        model._statistics = statistics
+        self.actions[:] = lanes.actions.tolist()
+        self.states[:] = lanes.indices.tolist()
+        if flaw == STATE_OUT_OF_RANGE:
+            raise ValueError(
+                f"`index` of {self.dynamics.name} must give rows 0 to {len(model.q_table) - 1}, but at step "
+                f"{model.num_timesteps} it gave {lanes.next_indices.tolist()}, after a reset {lanes.start_indices.tolist()}."
+            )
+        return int(n_steps)
+
+    def _last_infos(self) -> list[dict[str, Any]]:
+        """What the environments would have said of the last transition."""
+        infos: list[dict[str, Any]] = []
+        for i, done in enumerate(self.dones):
+            info: dict[str, Any] = {"TimeLimit.truncated": done and not bool(self.lanes.terminated[i])}
+            if done:
+                info["terminal_observation"] = self.state_index.observations(self.lanes.next_indices[i : i + 1])[0]
+            infos.append(info)
+        for i, info in self._episode_infos(self.env.num_envs):
+            if self.dones[i]:
+                info_of_lane = infos[i]
+                info_of_lane["episode"] = info
+        return infos
+
+    def _note_episodes(self) -> None:
+        assert self.model.ep_info_buffer is not None
+        for _, info in self._episode_infos(self.model._stats_window_size):
+            self.model.ep_info_buffer.append(info)
+        record, end = self.record, self.n_ended
+        for i, twin in enumerate(self.twins):
+            mine = record.lanes[:end] == i
+            twin.write_monitor_rows(record.returns[:end][mine], record.lengths[:end][mine])
+
+    def _episode_infos(self, most: int) -> list[tuple[int, dict[str, Any]]]:
+        """The last episodes of the stretch that a Monitor saw, with their environments."""
+        record = self.record
+        infos = []
+        for row in range(max(self.n_ended - most, 0), self.n_ended):
+            i = int(record.lanes[row])
+            monitor = self.twins[i].wrappers.monitor
+            if monitor is not None:
+                infos.append((i, episode_info(monitor, float(record.returns[row]), int(record.lengths[row]))))
+        return infos
+
+    def _read_lanes(self) -> fused.Lanes:
+        n_envs = self.env.num_envs
+        states = np.array([np.atleast_1d(twin.dynamics.read_state()) for twin in self.twins], dtype=np.float64)
+        return fused.Lanes(
+            states=states,
+            lengths=np.array([twin.episode_length for twin in self.twins], dtype=np.int64),
+            returns=np.array([twin.episode_return for twin in self.twins], dtype=np.float64),
+            indices=np.zeros(n_envs, dtype=np.int64),
+            actions=np.zeros(n_envs, dtype=np.int64),
+            rewards=np.zeros(n_envs, dtype=np.float32),
+            next_indices=np.zeros(n_envs, dtype=np.int64),
+            terminated=np.zeros(n_envs, dtype=bool),
+            dones=np.zeros(n_envs, dtype=bool),
+            start_indices=np.zeros(n_envs, dtype=np.int64),
+        )
+
+
+def _empty_record(n_rows: int) -> fused.Record:
+    return fused.Record(
+        dones=np.zeros((0, 0), dtype=bool),
+        returns=np.empty(n_rows),
+        lengths=np.empty(n_rows, dtype=np.int64),
+        rates=np.empty(n_rows),
+        epsilons=np.empty(n_rows),
+        lanes=np.empty(n_rows, dtype=np.int64),
+    )
+
+
+def _round_as_monitor(returns: np.ndarray) -> np.ndarray:
+    """Six decimals by Python's own rounding, which NumPy's does not always equal; whole numbers need none."""
+    rounded = returns.copy()
+    for i in np.flatnonzero(returns != np.rint(returns)):
+        rounded[i] = round(float(returns[i]), 6)
+    return rounded

@@ -1,0 +1,60 @@
+"""How far a compiled stretch may run before a callback is due, and what the callbacks are told afterwards."""
+
+from math import ceil, inf
+
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    CallbackList,
+    CheckpointCallback,
+    EvalCallback,
+    EveryNTimesteps,
+    ProgressBarCallback,
+    StopTrainingOnMaxEpisodes,
+)
+
+
+def steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> float:
+    """
+    :param callback: the callback that ``learn`` calls at every step
+    :param num_timesteps: environment steps taken
+    :param n_envs: the number of environments, so the environment steps of one call
+    :return: after how many further steps one of SB3's own callbacks in it acts
+    """
+    if isinstance(callback, CallbackList):
+        return min((steps_until_due(each, num_timesteps, n_envs) for each in callback.callbacks), default=inf)
+    if isinstance(callback, EvalCallback):
+        return callback.eval_freq - callback.n_calls % callback.eval_freq if callback.eval_freq > 0 else inf
+    if isinstance(callback, CheckpointCallback):
+        return callback.save_freq - callback.n_calls % callback.save_freq
+    if isinstance(callback, EveryNTimesteps):
+        return max(ceil((callback.last_time_trigger + callback.n_steps - num_timesteps) / n_envs), 1)
+    return inf
+
+
+def episodes_until_due(callback: BaseCallback) -> float:
+    """
+    :param callback: the callback that ``learn`` calls at every step
+    :return: after how many further episodes one of SB3's own callbacks in it acts
+    """
+    if isinstance(callback, CallbackList):
+        return min((episodes_until_due(each) for each in callback.callbacks), default=inf)
+    if isinstance(callback, StopTrainingOnMaxEpisodes):
+        return max(callback._total_max_episodes - callback.n_episodes, 1)
+    return inf
+
+
+def skip_steps(callback: BaseCallback, n_steps: int, n_envs: int) -> None:
+    """
+    Bring SB3's own callbacks to where they would be, had they been called at each of these steps without acting.
+
+    :param callback: the callback that ``learn`` calls at every step
+    :param n_steps: steps of every environment
+    :param n_envs: the number of environments
+    """
+    if isinstance(callback, CallbackList):
+        for each in callback.callbacks:
+            skip_steps(each, n_steps, n_envs)
+    elif isinstance(callback, EvalCallback | CheckpointCallback):
+        callback.n_calls += n_steps
+    elif isinstance(callback, ProgressBarCallback):
+        callback.pbar.update(n_steps * n_envs)

@@ -1,0 +1,220 @@
+"""Environments that TabularQ can run in whole stretches of compiled code."""
+
+import copy
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
+from gymnasium.wrappers.common import TimeLimit
+from stable_baselines3.common.monitor import Monitor
+
+from sb3_adaptive_q.vec_env import cart_pole_dynamics  # registers the Cart Poles  # noqa: F401
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_dynamics, registered_names
+from sb3_adaptive_q.vec_env.lean_vec_env import LeanVecEnv
+from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, has_table
+from wrappers import DiscretizeObservation
+
+NO_LIMIT = 2**62
+
+
+class CompiledVecEnv(LeanVecEnv):
+    """
+    A VecEnv of gymnasium environments whose dynamics are compiled with Numba.
+
+    ``step`` is one ordinary transition of the environments themselves. :class:`sb3_adaptive_q.TabularQ` learns on it in
+    stretches that never leave compiled code, and puts the environments where the stretch ended: with the same seed the
+    result is that of ordinary environments, bit for bit.
+
+    It compiles environments with a transition table ``P``, and ``CartPole-v1`` and ``CartPoleFriction-v0`` under
+    :class:`wrappers.DiscretizeObservation`; for others see :func:`sb3_adaptive_q.vec_env.register_dynamics`.
+
+    :param env_fns: functions that make the environments, each its own, all alike
+    :raises ValueError: if an environment or a wrapper around it does not compile, or the environments differ
+    """
+
+    def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
+        super().__init__(env_fns)
+        for env in self.envs:
+            compare_with_environment(CompiledEnv(env))
+        self.compile()
+
+    def compile(self) -> list["CompiledEnv"]:
+        """
+        Read the environments as they are now.
+
+        :return: their compiled twins
+        :raises ValueError: if one does not compile, or they differ
+        """
+        twins = [CompiledEnv(env) for env in self.envs]
+        for i, twin in enumerate(twins[1:], 1):
+            if not twins[0].is_like(twin):
+                raise ValueError(
+                    f"CompiledVecEnv needs environments that are alike, but environment {i} differs from the first: "
+                    "use LeanVecEnv, which works with everything."
+                )
+        return twins
+
+
+class Wrappers(NamedTuple):
+    """
+    What is around an environment.
+
+    :param monitor: SB3's Monitor
+    :param limits: the time limits
+    :param discretizer: the discretisation of the observation
+    """
+
+    monitor: Monitor | None
+    limits: list[TimeLimit]
+    discretizer: DiscretizeObservation | None
+
+
+class CompiledEnv:
+    """
+    One environment of a :class:`CompiledVecEnv`, as the fused loop sees it.
+
+    :param env: the environment with its wrappers
+    :raises ValueError: if it does not compile
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        self.unwrapped: Any = env.unwrapped
+        self.wrappers = _read_wrappers(env)
+        if self.unwrapped.render_mode == "human":
+            raise ValueError("render_mode='human' draws every step, which compiled code cannot: use LeanVecEnv to watch.")
+        limits = [limit._max_episode_steps for limit in self.wrappers.limits]
+        self.max_episode_steps = min(limits, default=NO_LIMIT)
+        discretizer = self.wrappers.discretizer
+        self.dynamics = _dynamics_of(self.unwrapped)(self.unwrapped, Grid.of(discretizer) if discretizer else None)
+
+    def is_like(self, other: "CompiledEnv") -> bool:
+        """
+        :param other: another environment
+        :return: whether the same compiled functions and parameters serve both
+        """
+        if type(self.dynamics) is not type(other.dynamics) or self.max_episode_steps != other.max_episode_steps:
+            return False
+        pairs = zip(self.dynamics.parameters, other.dynamics.parameters, strict=True)
+        return all(np.array_equal(mine, theirs) for mine, theirs in pairs)
+
+    @property
+    def episode_length(self) -> int:
+        """Steps since the last reset."""
+        if self.wrappers.limits:
+            return int(self.wrappers.limits[0]._elapsed_steps or 0)
+        return len(self.wrappers.monitor.rewards) if self.wrappers.monitor else 0
+
+    @property
+    def episode_return(self) -> float:
+        """Rewards summed since the last reset, where there is a Monitor to know them."""
+        return float(sum(self.wrappers.monitor.rewards)) if self.wrappers.monitor else 0.0
+
+    def put(self, state: Any, length: int, episode_return: float, n_steps: int) -> None:
+        """
+        Put the environment and its wrappers where a stretch has left its twin.
+
+        :param state: the state of the environment
+        :param length: steps since the last reset
+        :param episode_return: rewards summed since then
+        :param n_steps: the steps of the stretch
+        """
+        self.dynamics.write_state(state)
+        for limit in self.wrappers.limits:
+            limit._elapsed_steps = length
+        monitor = self.wrappers.monitor
+        if monitor is not None:
+            # A Monitor adds up and counts these at the episode's end; single rewards are not kept
+            monitor.rewards = [episode_return, *[0.0] * (length - 1)] if length else []
+            monitor.total_steps += n_steps
+
+    def write_monitor_rows(self, returns: np.ndarray, lengths: np.ndarray) -> None:
+        """
+        Write finished episodes to the Monitor's file, if it has one.
+
+        :param returns: the episodes' sums of rewards
+        :param lengths: their steps
+        """
+        monitor = self.wrappers.monitor
+        if monitor is None or monitor.results_writer is None:
+            return
+        for episode_return, length in zip(returns.tolist(), lengths.tolist(), strict=True):
+            monitor.results_writer.write_row(episode_info(monitor, episode_return, length))
+
+
+def episode_info(monitor: Monitor, episode_return: float, length: int) -> dict[str, Any]:
+    """
+    :param monitor: the Monitor of the environment
+    :param episode_return: the episode's sum of rewards
+    :param length: its steps
+    :return: what the Monitor would say of the episode
+    """
+    return {"r": round(episode_return, 6), "l": length, "t": round(time.time() - monitor.t_start, 6)}
+
+
+def compare_with_environment(twin: CompiledEnv, n_steps: int = 100) -> None:
+    """
+    Step a copy of the environment beside the functions that stand for it, both uncompiled, from the same seed.
+
+    :param twin: the environment
+    :param n_steps: how long
+    :raises ValueError: if they differ
+    """
+    env, dynamics = copy.deepcopy(twin.unwrapped), twin.dynamics
+    env.reset(seed=0)
+    generator = np.random.default_rng()
+    generator.bit_generator.state = env.np_random.bit_generator.state
+    mirror = type(dynamics)(env, Grid.of(twin.wrappers.discretizer) if twin.wrappers.discretizer else None)
+    state = mirror.read_state()
+    actions = np.random.default_rng(0)
+    for step in range(n_steps):
+        action = int(actions.integers(env.action_space.n))
+        _, reward, terminated, _, _ = env.step(action + int(env.action_space.start))
+        state, twin_reward, twin_terminated = dynamics.step(dynamics.parameters, state, action, generator)
+        same = np.allclose(mirror.read_state(), state, rtol=0.0, atol=1e-12)
+        if not same or reward != twin_reward or bool(terminated) != bool(twin_terminated):
+            raise ValueError(
+                f"{type(env).__name__} does not step as {type(dynamics).__name__} does: after step {step} it is in state "
+                f"{mirror.read_state()} with reward {reward}, which should be {state} and {twin_reward}. "
+                "Use LeanVecEnv, which works with everything."
+            )
+        if terminated:
+            env.reset()
+            state = dynamics.reset(dynamics.parameters, generator)
+
+
+def _dynamics_of(env: gym.Env) -> type[Dynamics]:
+    dynamics = find_dynamics(env)
+    if dynamics is not None:
+        return dynamics
+    if has_table(env):
+        if getattr(env, "fickle_passenger", False):
+            raise ValueError("Taxi with a fickle passenger moves by more than its table `P`: use LeanVecEnv.")
+        return TabularDynamics
+    raise ValueError(
+        f"CompiledVecEnv cannot compile {type(env).__name__}: it compiles environments with a transition table `P` and "
+        f"{', '.join(registered_names())}. Register its dynamics with `register_dynamics`, or use LeanVecEnv, which "
+        "works with everything."
+    )
+
+
+def _read_wrappers(env: gym.Env) -> Wrappers:
+    monitor: Monitor | None = None
+    limits: list[TimeLimit] = []
+    discretizer: DiscretizeObservation | None = None
+    while isinstance(env, gym.Wrapper):
+        if isinstance(env, TimeLimit):
+            limits.append(env)
+        elif type(env) is Monitor and monitor is None and not limits:
+            monitor = env
+        elif type(env) is DiscretizeObservation and discretizer is None:
+            discretizer = env
+        elif type(env) not in (OrderEnforcing, PassiveEnvChecker):
+            raise ValueError(
+                f"CompiledVecEnv cannot compile the wrapper {env.class_name()}: it compiles Monitor around TimeLimit, "
+                "DiscretizeObservation and gymnasium's own checks, each once. Use LeanVecEnv, which works with everything."
+            )
+        env = env.env
+    return Wrappers(monitor, limits, discretizer)

@@ -1,0 +1,183 @@
+"""What a compiled environment is: three plain functions, their parameters, and a way to and from the Python object."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import gymnasium as gym
+import numpy as np
+
+from sb3_adaptive_q.compilation import FunctionSet
+from wrappers import DiscretizeObservation
+
+DynamicsT = TypeVar("DynamicsT", bound="type[Dynamics]")
+
+_registered: dict[type[gym.Env], "type[Dynamics]"] = {}
+
+
+#: What may be wrong with a transition, so that it must not reach the table
+SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE = range(3)
+
+
+def find_flaw(next_index, start_index, reward, n_states):
+    """
+    :param next_index: the row that a transition reached
+    :param start_index: the row that the environment is in now
+    :param reward: what the transition was rewarded with
+    :param n_states: the rows of the table
+    :return: what forbids learning from the transition, or ``SOUND``
+    """
+    if not (0 <= next_index < n_states and 0 <= start_index < n_states):
+        return STATE_OUT_OF_RANGE
+    return SOUND if np.isfinite(reward) else REWARD_NOT_FINITE
+
+
+def find_no_flaw(next_index, start_index, reward, n_states):
+    """
+    For dynamics whose rewards are finite and rows in range by construction, which saves one step in twenty.
+
+    :return: ``SOUND``
+    """
+    return SOUND
+
+
+class Dynamics:
+    """
+    The compiled twin of an environment's ``reset`` and ``step``. A subclass has three static functions in the part of
+    Python that Numba compiles; a state is a number, or a tuple of floats:
+
+    - ``reset(parameters, generator) -> state``
+    - ``step(parameters, state, action, generator) -> (state, reward, terminated)``; actions count from 0
+    - ``index(parameters, state) -> row of the table``
+
+    ``generator`` is the environment's own ``np_random``. The functions have to draw from it what the environment draws,
+    in its order, and to compute in the environment's order of operations: then every path gives the same bits.
+
+    :param env: the environment without its wrappers
+    :param grid: the edges of the :class:`wrappers.DiscretizeObservation` around it, if there is one
+    :raises ValueError: if it is used in a way that these functions do not cover
+    """
+
+    reset: ClassVar[Callable[..., Any]]
+    step: ClassVar[Callable[..., Any]]
+    index: ClassVar[Callable[..., int]]
+    #: What is checked of every transition
+    flaw: ClassVar[Callable[..., int]] = staticmethod(find_flaw)
+    #: What the functions need to know, as a named tuple of numbers and arrays
+    parameters: Any
+
+    def __init__(self, env: gym.Env, grid: "Grid | None") -> None:
+        self.env = env
+
+    def read_state(self) -> Any:
+        """
+        :return: the environment's state as the functions take it
+        """
+        return tuple(float(value) for value in self.env.state)  # type: ignore[attr-defined]
+
+    def write_state(self, state: Any) -> None:
+        """
+        :param state: the state to put the environment into
+        """
+        self.env.state = np.array(state)  # type: ignore[attr-defined]
+
+    def function_set(self) -> FunctionSet:
+        """
+        :return: the functions as compiled code takes them
+        """
+        return FunctionSet(
+            f"{type(self).__module__}:{type(self).__qualname__}",
+            container=type(self.parameters),
+            reset=self.reset,
+            step=self.step,
+            index=self.index,
+            flaw=self.flaw,
+        )
+
+
+def register_dynamics(env_class: type[gym.Env]) -> Callable[[DynamicsT], DynamicsT]:
+    """
+    Let :class:`CompiledVecEnv` compile an environment of yours.
+
+    :param env_class: the class of the environment, without wrappers
+    :return: a decorator for the :class:`Dynamics` of that environment
+    """
+
+    def register(dynamics: DynamicsT) -> DynamicsT:
+        _registered[env_class] = dynamics
+        return dynamics
+
+    return register
+
+
+def find_dynamics(env: gym.Env) -> "type[Dynamics] | None":
+    """
+    :param env: an environment without its wrappers
+    :return: the dynamics registered for exactly its class: a subclass may step differently
+    """
+    return _registered.get(type(env))
+
+
+def registered_names() -> list[str]:
+    """
+    :return: the names of the environment classes with registered dynamics
+    """
+    return sorted(env_class.__name__ for env_class in _registered)
+
+
+class Grid(NamedTuple):
+    """
+    The cells of a :class:`wrappers.DiscretizeObservation`, for compiled code.
+
+    :param edges: of shape (dimensions, most edges), filled up with infinity
+    :param counts: how many edges each dimension has
+    :param scales: cells per unit of each dimension
+    """
+
+    edges: np.ndarray
+    counts: np.ndarray
+    scales: np.ndarray
+
+    @classmethod
+    def of(cls, discretizer: DiscretizeObservation) -> "Grid":
+        """
+        :param discretizer: the wrapper
+        :return: its cells
+        """
+        counts = np.array([len(edges) for edges in discretizer.edges])
+        edges = np.full((len(counts), counts.max()), np.inf)
+        for row, values in zip(edges, discretizer.edges, strict=True):
+            row[: len(values)] = values
+        scales = np.array([(len(values) - 1) / (values[-1] - values[0]) for values in discretizer.edges])
+        return cls(edges, counts, scales)
+
+
+def grid_index(edges, counts, scales, observation):
+    """
+    The number of the cell that holds an observation, as :class:`wrappers.DiscretizeObservation` numbers it.
+
+    :param edges: of the grid
+    :param counts: of the grid
+    :param scales: of the grid
+    :param observation: a tuple of floats, rounded to the observation's dtype
+    :return: the number of the cell
+    """
+    index = 0
+    for dimension in range(len(observation)):
+        value, count = observation[dimension], counts[dimension]
+        # Evenly spaced edges give the cell up to rounding; the edges themselves decide
+        distance = (value - edges[dimension, 0]) * scales[dimension]
+        cell = int(min(max(distance, 0.0), float(count)))
+        while cell < count and edges[dimension, cell] <= value:
+            cell += 1
+        while cell > 0 and edges[dimension, cell - 1] > value:
+            cell -= 1
+        index = index * (count + 1) + cell
+    return index
+
+
+def as_float32(value):
+    """
+    :param value: a component of the state, float64
+    :return: what a float32 observation shows of it
+    """
+    return np.float64(np.float32(value))

@@ -1,0 +1,129 @@
+"""Environments with a transition table ``P``, as gymnasium's toy-text environments have it."""
+
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_no_flaw
+
+
+class TransitionTable(NamedTuple):
+    """
+    ``P`` and the initial distribution as arrays. Axes: state, action, outcome. Rows with fewer outcomes than the most
+    have infinite cumulative probabilities behind, and every row repeats its first outcome there: gymnasium takes the
+    first outcome where rounding leaves a drawn number above all of them.
+
+    :param initial: cumulative probabilities of the first state
+    :param cumulative: cumulative probabilities of the outcomes
+    :param next_states: with one outcome more, as are the next two
+    :param rewards: of the outcomes
+    :param terminated: whether the outcome's state is terminal
+    """
+
+    initial: np.ndarray
+    cumulative: np.ndarray
+    next_states: np.ndarray
+    rewards: np.ndarray
+    terminated: np.ndarray
+
+
+class TabularDynamics(Dynamics):
+    """
+    Draws from ``env.P[state][action]``, a list of (probability, next state, reward, terminated), and from
+    ``env.initial_state_distrib``, as gymnasium does.
+
+    :param env: an environment with both, and its state in ``s``
+    :param grid: unused
+    :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
+    """
+
+    flaw = staticmethod(find_no_flaw)  # the table is checked once, here
+
+    def __init__(self, env: gym.Env, grid: Grid | None) -> None:
+        super().__init__(env, grid)
+        self.parameters = read_table(env)
+
+    def read_state(self) -> int:
+        return int(self.env.s)  # type: ignore[attr-defined]
+
+    def write_state(self, state: Any) -> None:
+        self.env.s = int(state)  # type: ignore[attr-defined]
+
+    @staticmethod
+    def reset(parameters, generator):
+        """Draw the first state, as gymnasium's ``categorical_sample`` does."""
+        state = np.searchsorted(parameters.initial, generator.random(), side="right")
+        return state if state < parameters.initial.shape[0] else 0
+
+    @staticmethod
+    def step(parameters, state, action, generator):
+        """Draw an outcome. Counting without a branch is fastest for a handful of them."""
+        number = generator.random()
+        outcome = 0
+        for i in range(parameters.cumulative.shape[2]):
+            outcome += 1 if parameters.cumulative[state, action, i] <= number else 0
+        return (
+            parameters.next_states[state, action, outcome],
+            parameters.rewards[state, action, outcome],
+            parameters.terminated[state, action, outcome],
+        )
+
+    @staticmethod
+    def index(parameters, state):
+        """States are rows."""
+        return state
+
+
+def has_table(env: gym.Env) -> bool:
+    """
+    :param env: an environment without its wrappers
+    :return: whether it has what :class:`TabularDynamics` reads
+    """
+    return all(hasattr(env, name) for name in ("P", "initial_state_distrib"))
+
+
+def read_table(env: Any) -> TransitionTable:
+    """
+    :param env: an environment with ``P`` and ``initial_state_distrib``
+    :return: both as arrays
+    :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
+    """
+    n_states, n_actions = int(env.observation_space.n), int(env.action_space.n)
+    rows = [[env.P[state][action] for action in range(n_actions)] for state in range(n_states)]
+    most = max(len(outcomes) for row in rows for outcomes in row)
+    shape = (n_states, n_actions, most + 1)
+    table = TransitionTable(
+        initial=_cumulative("initial_state_distrib", env.initial_state_distrib),
+        cumulative=np.full((n_states, n_actions, most), np.inf),
+        next_states=np.zeros(shape, np.int64),
+        rewards=np.zeros(shape),
+        terminated=np.zeros(shape, bool),
+    )
+    for state, row in enumerate(rows):
+        for action, outcomes in enumerate(row):
+            name = f"P[{state}][{action}]"
+            _check_outcomes(name, outcomes, n_states)
+            table.cumulative[state, action, : len(outcomes)] = _cumulative(name, [outcome[0] for outcome in outcomes])
+            filled = [*outcomes, *[outcomes[0]] * (most + 1 - len(outcomes))]
+            _, table.next_states[state, action], table.rewards[state, action], table.terminated[state, action] = zip(
+                *filled, strict=True
+            )
+    return table
+
+
+def _cumulative(name: str, probabilities: Any) -> np.ndarray:
+    values = np.asarray(probabilities, dtype=np.float64)
+    if not (values >= 0.0).all() or not np.isclose(values.sum(), 1.0, rtol=0.0, atol=1e-8):
+        raise ValueError(f"The probabilities of {name} must sum to 1, but are {values.tolist()}: please check the table.")
+    return np.cumsum(values)
+
+
+def _check_outcomes(name: str, outcomes: Any, n_states: int) -> None:
+    if not outcomes:
+        raise ValueError(f"{name} must have at least one outcome, but is empty: please check the table.")
+    for _, next_state, reward, _ in outcomes:
+        if not 0 <= next_state < n_states:
+            raise ValueError(f"The next states of {name} must be 0 to {n_states - 1}, but one is {next_state}.")
+        if not np.isfinite(reward):
+            raise ValueError(f"The rewards of {name} must be finite, but one is {reward}.")
