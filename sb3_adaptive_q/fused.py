@@ -354,7 +354,7 @@ def _stretch(
     dynamics, parameters, generators, template, max_episode_steps, lanes,
     table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
 ):  # fmt: skip
-    n_envs = lanes.actions.shape[0]
+    n_envs = len(generators)  # known to the compiler, as the number of environments is part of the type
     is_single = n_envs == 1  # then the lane stays in registers
     lane = load_lane(lanes, 0, template)
     flaw, step, n_ended = SOUND, 0, 0

@@ -9,7 +9,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from sb3_adaptive_q import fused, kernels
 from sb3_adaptive_q.rollouts import Episodes, StepRollout
 from sb3_adaptive_q.stretches import episodes_until_due, skip_steps, steps_until_due
-from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv, episode_info
+from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
 from sb3_adaptive_q.vec_env.dynamics import STATE_OUT_OF_RANGE
 
 if TYPE_CHECKING:
@@ -121,31 +121,30 @@ class FusedRollout(StepRollout):
             if done:
                 info["terminal_observation"] = self.state_index.observations(self.lanes.next_indices[i : i + 1])[0]
             infos.append(info)
-        for i, info in self._episode_infos(self.env.num_envs):
-            if self.dones[i]:
-                info_of_lane = infos[i]
-                info_of_lane["episode"] = info
+        # The last step's episodes are the last on the record
+        for i, episode in self._episode_infos(sum(self.dones)):
+            infos[i]["episode"] = episode
         return infos
 
     def _note_episodes(self) -> None:
         assert self.model.ep_info_buffer is not None
-        for _, info in self._episode_infos(self.model._stats_window_size):
-            self.model.ep_info_buffer.append(info)
+        self.model.ep_info_buffer.extend(episode for _, episode in self._episode_infos(self.model._stats_window_size))
         record, end = self.record, self.n_ended
         for i, twin in enumerate(self.twins):
-            mine = record.lanes[:end] == i
-            twin.write_monitor_rows(record.returns[:end][mine], record.lengths[:end][mine])
+            if twin.writes_file:
+                mine = record.lanes[:end] == i
+                twin.write_monitor_rows(record.returns[:end][mine], record.lengths[:end][mine])
 
     def _episode_infos(self, most: int) -> list[tuple[int, dict[str, Any]]]:
-        """The last episodes of the stretch that a Monitor saw, with their environments."""
-        record = self.record
-        infos = []
-        for row in range(max(self.n_ended - most, 0), self.n_ended):
-            i = int(record.lanes[row])
-            monitor = self.twins[i].wrappers.monitor
-            if monitor is not None:
-                infos.append((i, episode_info(monitor, float(record.returns[row]), int(record.lengths[row]))))
-        return infos
+        """The last episodes of the stretch, with the number of the environment, as the Monitors would have them."""
+        last = slice(max(self.n_ended - most, 0), self.n_ended)
+        columns = (self.record.lanes[last], self.record.returns[last], self.record.lengths[last])
+        times = [twin.seconds for twin in self.twins]
+        return [
+            (i, {"r": round(episode_return, 6), "l": length, "t": seconds})
+            for i, episode_return, length in zip(*(column.tolist() for column in columns), strict=True)
+            if (seconds := times[i]) is not None
+        ]
 
     def _read_lanes(self) -> fused.Lanes:
         n_envs = self.env.num_envs

@@ -130,28 +130,29 @@ class CompiledEnv:
             monitor.rewards = [episode_return, *[0.0] * (length - 1)] if length else []
             monitor.total_steps += n_steps
 
+    @property
+    def seconds(self) -> float | None:
+        """The time of day of the Monitor, if there is one: seconds since it was made."""
+        monitor = self.wrappers.monitor
+        return None if monitor is None else round(time.time() - monitor.t_start, 6)
+
+    @property
+    def writes_file(self) -> bool:
+        """Whether there is a Monitor that keeps a file."""
+        return self.wrappers.monitor is not None and self.wrappers.monitor.results_writer is not None
+
     def write_monitor_rows(self, returns: np.ndarray, lengths: np.ndarray) -> None:
         """
-        Write finished episodes to the Monitor's file, if it has one.
+        Write finished episodes to the Monitor's file.
 
         :param returns: the episodes' sums of rewards
         :param lengths: their steps
         """
-        monitor = self.wrappers.monitor
-        if monitor is None or monitor.results_writer is None:
-            return
+        assert self.wrappers.monitor is not None and self.wrappers.monitor.results_writer is not None
+        seconds = self.seconds
         for episode_return, length in zip(returns.tolist(), lengths.tolist(), strict=True):
-            monitor.results_writer.write_row(episode_info(monitor, episode_return, length))
-
-
-def episode_info(monitor: Monitor, episode_return: float, length: int) -> dict[str, Any]:
-    """
-    :param monitor: the Monitor of the environment
-    :param episode_return: the episode's sum of rewards
-    :param length: its steps
-    :return: what the Monitor would say of the episode
-    """
-    return {"r": round(episode_return, 6), "l": length, "t": round(time.time() - monitor.t_start, 6)}
+            row = {"r": round(episode_return, 6), "l": length, "t": seconds}
+            self.wrappers.monitor.results_writer.write_row(row)
 
 
 def compare_with_environment(twin: CompiledEnv, n_steps: int = 100) -> None:

@@ -8,24 +8,24 @@ import numpy as np
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_no_flaw
 
 
+#: An outcome of taking an action in a state; one record, because a large table costs a cache miss for each array
+OUTCOME = np.dtype(
+    [("cumulative", np.float64), ("reward", np.float64), ("next_state", np.int64), ("terminated", np.bool_)], align=True
+)
+
+
 class TransitionTable(NamedTuple):
     """
-    ``P`` and the initial distribution as arrays. Axes: state, action, outcome. Rows with fewer outcomes than the most
-    have infinite cumulative probabilities behind, and every row repeats its first outcome there: gymnasium takes the
-    first outcome where rounding leaves a drawn number above all of them.
+    ``P`` and the initial distribution as arrays.
 
-    :param initial: cumulative probabilities of the first state
-    :param cumulative: cumulative probabilities of the outcomes
-    :param next_states: with one outcome more, as are the next two
-    :param rewards: of the outcomes
-    :param terminated: whether the outcome's state is terminal
+    :param initial: cumulative probabilities of the first state, of shape (n_states,)
+    :param outcomes: of shape (n_states, n_actions, most outcomes + 1). Where a row has fewer, it is filled up with its
+        first outcome and an infinite cumulative probability: gymnasium takes the first outcome where rounding leaves a
+        drawn number above all of them
     """
 
     initial: np.ndarray
-    cumulative: np.ndarray
-    next_states: np.ndarray
-    rewards: np.ndarray
-    terminated: np.ndarray
+    outcomes: np.ndarray
 
 
 class TabularDynamics(Dynamics):
@@ -61,13 +61,10 @@ class TabularDynamics(Dynamics):
         """Draw an outcome. Counting without a branch is fastest for a handful of them."""
         number = generator.random()
         outcome = 0
-        for i in range(parameters.cumulative.shape[2]):
-            outcome += 1 if parameters.cumulative[state, action, i] <= number else 0
-        return (
-            parameters.next_states[state, action, outcome],
-            parameters.rewards[state, action, outcome],
-            parameters.terminated[state, action, outcome],
-        )
+        for i in range(parameters.outcomes.shape[2] - 1):
+            outcome += 1 if parameters.outcomes[state, action, i]["cumulative"] <= number else 0
+        drawn = parameters.outcomes[state, action, outcome]
+        return drawn["next_state"], drawn["reward"], drawn["terminated"]
 
     @staticmethod
     def index(parameters, state):
@@ -92,24 +89,18 @@ def read_table(env: Any) -> TransitionTable:
     n_states, n_actions = int(env.observation_space.n), int(env.action_space.n)
     rows = [[env.P[state][action] for action in range(n_actions)] for state in range(n_states)]
     most = max(len(outcomes) for row in rows for outcomes in row)
-    shape = (n_states, n_actions, most + 1)
-    table = TransitionTable(
-        initial=_cumulative("initial_state_distrib", env.initial_state_distrib),
-        cumulative=np.full((n_states, n_actions, most), np.inf),
-        next_states=np.zeros(shape, np.int64),
-        rewards=np.zeros(shape),
-        terminated=np.zeros(shape, bool),
-    )
+    table = np.empty((n_states, n_actions, most + 1), dtype=OUTCOME)
     for state, row in enumerate(rows):
         for action, outcomes in enumerate(row):
             name = f"P[{state}][{action}]"
             _check_outcomes(name, outcomes, n_states)
-            table.cumulative[state, action, : len(outcomes)] = _cumulative(name, [outcome[0] for outcome in outcomes])
-            filled = [*outcomes, *[outcomes[0]] * (most + 1 - len(outcomes))]
-            _, table.next_states[state, action], table.rewards[state, action], table.terminated[state, action] = zip(
-                *filled, strict=True
-            )
-    return table
+            cumulative = _cumulative(name, [outcome[0] for outcome in outcomes]).tolist()
+            records = [
+                (bound, reward, next_state, terminated)
+                for bound, (_, next_state, reward, terminated) in zip(cumulative, outcomes, strict=True)
+            ]
+            table[state, action] = records + [(np.inf, *records[0][1:])] * (most + 1 - len(records))
+    return TransitionTable(_cumulative("initial_state_distrib", env.initial_state_distrib), table)
 
 
 def _cumulative(name: str, probabilities: Any) -> np.ndarray:
