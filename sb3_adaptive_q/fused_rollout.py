@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sb3_adaptive_q.tabular_q import TabularQ
 
 #: Steps of every environment between two calls of a user's callback: where a stretch's fixed cost is lost in it
-DEFAULT_INTERVAL = 65_536
+DEFAULT_INTERVAL = 262_144
 
 
 class FusedRollout(StepRollout):

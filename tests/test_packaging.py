@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from configparser import ConfigParser
 from email.message import Message
 from email.parser import HeaderParser
 from pathlib import Path
@@ -122,14 +121,6 @@ def test_wheel_metadata(wheel: zipfile.ZipFile, metadata: Message) -> None:
 
 def test_public_version_is_that_of_the_wheel(metadata: Message) -> None:
     assert importlib.import_module("sb3_adaptive_q").__version__ == metadata["Version"]
-
-
-def test_entry_points_name_what_exists(wheel: zipfile.ZipFile) -> None:
-    parser = ConfigParser()
-    parser.read_string(read_info(wheel, "entry_points.txt"))
-    for reference in parser["gymnasium.envs"].values():
-        module, function = reference.split(":")
-        assert callable(getattr(importlib.import_module(module), function))
 
 
 def test_everything_needed_is_pinned(metadata: Message) -> None:
