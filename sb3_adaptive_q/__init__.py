@@ -14,6 +14,7 @@ from sb3_adaptive_q.callbacks import (
     SignRateCallback,
     method,
 )
+from sb3_adaptive_q.many import learn_many
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy
 from sb3_adaptive_q.tabular_q import TabularQ
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
@@ -35,5 +36,6 @@ __all__ = [
     "TabularQ",
     "TabularQPolicy",
     "__version__",
+    "learn_many",
     "method",
 ]

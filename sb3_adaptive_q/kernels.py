@@ -51,7 +51,7 @@ def progress_made(learner, num_timesteps, n_episodes):
     """
     if learner.total_episodes > 0:
         return min(n_episodes / learner.total_episodes, 1.0)
-    return min(num_timesteps / learner.total_timesteps, 1.0)
+    return min(num_timesteps / max(learner.total_timesteps, 1), 1.0)
 
 
 def exploration_rate(learner, progress):

@@ -47,7 +47,8 @@ class StepRollout:
         self.progress = kernels.progress_made(learner, model.num_timesteps, model._episode_num)
         model.exploration_rate = kernels.exploration_rate(learner, self.progress)
         self.state_index = model.policy.state_index
-        self.states = self._states_of(model._last_obs)
+        self._state_of = self.state_index.of
+        self.states = [self._state_of(observation) for observation in model._last_obs.tolist()]  # type: ignore[union-attr]
         self.first_action = int(model.action_space.start)  # type: ignore[attr-defined]
         if model._next_actions is None:
             model._next_actions = [self._choose_action(state) for state in self.states]
@@ -65,7 +66,7 @@ class StepRollout:
         new_obs, rewards, dones, infos = self.env.step(actions)
         self.model.num_timesteps += self.env.num_envs
         self.infos, self.dones = infos, dones.tolist()
-        self.transitions = self._transitions(self._states_of(new_obs), rewards.tolist())
+        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())
         return actions, new_obs, rewards, dones, infos
 
     def learn(self) -> None:
@@ -115,18 +116,17 @@ class StepRollout:
         if True in self.dones:
             self.model._update_info_buffer(self.infos, np.array(self.dones))
 
-    def _transitions(self, states: list[int], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
+    def _transitions(self, observations: list[Any], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
         """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
         transitions = []
-        for reward, done, info, state in zip(rewards, self.dones, self.infos, states, strict=True):
+        for i, done in enumerate(self.dones):
+            state = self._state_of(observations[i])
             next_state, terminated = state, done
-            if done and info.get("TimeLimit.truncated", False):
-                next_state, terminated = self.state_index.of(np.asarray(info["terminal_observation"]).tolist()), False
-            transitions.append((reward, next_state, terminated, done, state))
+            if done and self.infos[i].get("TimeLimit.truncated", False):
+                reached = np.asarray(self.infos[i]["terminal_observation"]).tolist()
+                next_state, terminated = self._state_of(reached), False
+            transitions.append((rewards[i], next_state, terminated, done, state))
         return transitions
-
-    def _states_of(self, observations: Any) -> list[int]:
-        return [self.state_index.of(observation) for observation in observations.tolist()]
 
     def _choose_action(self, state: int) -> int:
         model = self.model

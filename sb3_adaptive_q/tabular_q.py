@@ -342,7 +342,8 @@ class TabularQ(BaseAlgorithm):
             return actions, state
         generator, shape = self._predict_generator, np.shape(actions)
         random_actions = generator.integers(self.action_space.n, size=shape) + self.action_space.start  # type: ignore[attr-defined]
-        return np.where(generator.random(shape) < self.exploration_rate, random_actions, actions), state
+        chosen = np.where(generator.random(shape) < self.exploration_rate, random_actions, actions)
+        return chosen[()], state  # a scalar rather than an array without axes, which no dict could be asked for
 
     def set_random_seed(self, seed: int | None = None) -> None:
         """

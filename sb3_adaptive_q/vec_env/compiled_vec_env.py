@@ -3,19 +3,16 @@
 import copy
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
-from gymnasium.wrappers.common import TimeLimit
-from stable_baselines3.common.monitor import Monitor
 
 from sb3_adaptive_q.vec_env import cart_pole_dynamics  # registers the Cart Poles  # noqa: F401
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_dynamics, registered_names
+from sb3_adaptive_q.vec_env.layers import Layers, peel
 from sb3_adaptive_q.vec_env.lean_vec_env import LeanVecEnv
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, has_table
-from wrappers import DiscretizeObservation
 
 NO_LIMIT = 2**62
 
@@ -58,20 +55,6 @@ class CompiledVecEnv(LeanVecEnv):
         return twins
 
 
-class Wrappers(NamedTuple):
-    """
-    What is around an environment.
-
-    :param monitor: SB3's Monitor
-    :param limits: the time limits
-    :param discretizer: the discretisation of the observation
-    """
-
-    monitor: Monitor | None
-    limits: list[TimeLimit]
-    discretizer: DiscretizeObservation | None
-
-
 class CompiledEnv:
     """
     One environment of a :class:`CompiledVecEnv`, as the fused loop sees it.
@@ -82,12 +65,11 @@ class CompiledEnv:
 
     def __init__(self, env: gym.Env) -> None:
         self.unwrapped: Any = env.unwrapped
-        self.wrappers = _read_wrappers(env)
+        self.layers = _peel_completely(env)
         if self.unwrapped.render_mode == "human":
             raise ValueError("render_mode='human' draws every step, which compiled code cannot: use LeanVecEnv to watch.")
-        limits = [limit._max_episode_steps for limit in self.wrappers.limits]
-        self.max_episode_steps = min(limits, default=NO_LIMIT)
-        discretizer = self.wrappers.discretizer
+        limit, discretizer = self.layers.limit, self.layers.discretizer
+        self.max_episode_steps = limit._max_episode_steps if limit else NO_LIMIT
         self.dynamics = _dynamics_of(self.unwrapped)(self.unwrapped, Grid.of(discretizer) if discretizer else None)
 
     def is_like(self, other: "CompiledEnv") -> bool:
@@ -103,14 +85,14 @@ class CompiledEnv:
     @property
     def episode_length(self) -> int:
         """Steps since the last reset."""
-        if self.wrappers.limits:
-            return int(self.wrappers.limits[0]._elapsed_steps or 0)
-        return len(self.wrappers.monitor.rewards) if self.wrappers.monitor else 0
+        if self.layers.limit:
+            return int(self.layers.limit._elapsed_steps or 0)
+        return len(self.layers.monitor.rewards) if self.layers.monitor else 0
 
     @property
     def episode_return(self) -> float:
         """Rewards summed since the last reset, where there is a Monitor to know them."""
-        return float(sum(self.wrappers.monitor.rewards)) if self.wrappers.monitor else 0.0
+        return float(sum(self.layers.monitor.rewards)) if self.layers.monitor else 0.0
 
     def put(self, state: Any, length: int, episode_return: float, n_steps: int) -> None:
         """
@@ -122,9 +104,9 @@ class CompiledEnv:
         :param n_steps: the steps of the stretch
         """
         self.dynamics.write_state(state)
-        for limit in self.wrappers.limits:
-            limit._elapsed_steps = length
-        monitor = self.wrappers.monitor
+        if self.layers.limit:
+            self.layers.limit._elapsed_steps = length
+        monitor = self.layers.monitor
         if monitor is not None:
             # A Monitor adds up and counts these at the episode's end; single rewards are not kept
             monitor.rewards = [episode_return, *[0.0] * (length - 1)] if length else []
@@ -133,13 +115,13 @@ class CompiledEnv:
     @property
     def seconds(self) -> float | None:
         """The time of day of the Monitor, if there is one: seconds since it was made."""
-        monitor = self.wrappers.monitor
+        monitor = self.layers.monitor
         return None if monitor is None else round(time.time() - monitor.t_start, 6)
 
     @property
     def writes_file(self) -> bool:
         """Whether there is a Monitor that keeps a file."""
-        return self.wrappers.monitor is not None and self.wrappers.monitor.results_writer is not None
+        return self.layers.monitor is not None and self.layers.monitor.results_writer is not None
 
     def write_monitor_rows(self, returns: np.ndarray, lengths: np.ndarray) -> None:
         """
@@ -148,11 +130,11 @@ class CompiledEnv:
         :param returns: the episodes' sums of rewards
         :param lengths: their steps
         """
-        assert self.wrappers.monitor is not None and self.wrappers.monitor.results_writer is not None
+        assert self.layers.monitor is not None and self.layers.monitor.results_writer is not None
         seconds = self.seconds
         for episode_return, length in zip(returns.tolist(), lengths.tolist(), strict=True):
             row = {"r": round(episode_return, 6), "l": length, "t": seconds}
-            self.wrappers.monitor.results_writer.write_row(row)
+            self.layers.monitor.results_writer.write_row(row)
 
 
 def compare_with_environment(twin: CompiledEnv, n_steps: int = 100) -> None:
@@ -167,7 +149,7 @@ def compare_with_environment(twin: CompiledEnv, n_steps: int = 100) -> None:
     env.reset(seed=0)
     generator = np.random.default_rng()
     generator.bit_generator.state = env.np_random.bit_generator.state
-    mirror = type(dynamics)(env, Grid.of(twin.wrappers.discretizer) if twin.wrappers.discretizer else None)
+    mirror = type(dynamics)(env, Grid.of(twin.layers.discretizer) if twin.layers.discretizer else None)
     state = mirror.read_state()
     actions = np.random.default_rng(0)
     for step in range(n_steps):
@@ -201,21 +183,12 @@ def _dynamics_of(env: gym.Env) -> type[Dynamics]:
     )
 
 
-def _read_wrappers(env: gym.Env) -> Wrappers:
-    monitor: Monitor | None = None
-    limits: list[TimeLimit] = []
-    discretizer: DiscretizeObservation | None = None
-    while isinstance(env, gym.Wrapper):
-        if isinstance(env, TimeLimit):
-            limits.append(env)
-        elif type(env) is Monitor and monitor is None and not limits:
-            monitor = env
-        elif type(env) is DiscretizeObservation and discretizer is None:
-            discretizer = env
-        elif type(env) not in (OrderEnforcing, PassiveEnvChecker):
-            raise ValueError(
-                f"CompiledVecEnv cannot compile the wrapper {env.class_name()}: it compiles Monitor around TimeLimit, "
-                "DiscretizeObservation and gymnasium's own checks, each once. Use LeanVecEnv, which works with everything."
-            )
-        env = env.env
-    return Wrappers(monitor, limits, discretizer)
+def _peel_completely(env: gym.Env) -> Layers:
+    layers = peel(env)
+    if isinstance(layers.inner, gym.Wrapper):
+        raise ValueError(
+            f"CompiledVecEnv cannot compile the wrapper {layers.inner.class_name()} at its place: it compiles a Monitor, "
+            "a DiscretizeObservation around or inside it, a TimeLimit inside them and gymnasium's own checks innermost. "
+            "Use LeanVecEnv, which works with everything."
+        )
+    return layers

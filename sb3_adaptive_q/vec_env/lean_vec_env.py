@@ -9,6 +9,8 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import DummyVecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from sb3_adaptive_q.vec_env.layers import LayeredStep
+
 
 class LeanVecEnv(DummyVecEnv):
     """
@@ -24,6 +26,7 @@ class LeanVecEnv(DummyVecEnv):
 
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         super().__init__(env_fns)
+        self._steps = [LayeredStep(env) for env in self.envs]
         self._scalar_actions = isinstance(self.action_space, spaces.Discrete)
         self._scalar_observations = isinstance(self.observation_space, spaces.Discrete)
 
@@ -31,15 +34,16 @@ class LeanVecEnv(DummyVecEnv):
         # A plain int indexes a transition table twice as fast as a NumPy scalar does
         actions = np.asarray(self.actions).tolist() if self._scalar_actions else self.actions
         observations, rewards, dones, infos = [], [], [], []
-        for i, env in enumerate(self.envs):
-            observation, reward, terminated, truncated, info = env.step(actions[i])
+        for i, step in enumerate(self._steps):
+            observation, reward, terminated, truncated, info = step(actions[i])
+            done = terminated or truncated
             info["TimeLimit.truncated"] = truncated and not terminated
-            if terminated or truncated:
+            if done:
                 info["terminal_observation"] = observation
-                observation, self.reset_infos[i] = env.reset()
+                observation, self.reset_infos[i] = self.envs[i].reset()
             observations.append(observation)
             rewards.append(reward)
-            dones.append(terminated or truncated)
+            dones.append(done)
             infos.append(info)
         return self._stack(observations), np.array(rewards, np.float32), np.array(dones, bool), infos
 

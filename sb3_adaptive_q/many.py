@@ -1,0 +1,57 @@
+"""Independent learners side by side."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from sb3_adaptive_q.tabular_q import TabularQ
+
+
+def learn_many(
+    models: Sequence[TabularQ],
+    total_timesteps: int,
+    workers: int | None = None,
+    log_interval: int | None = 100,
+    reset_num_timesteps: bool = True,
+) -> list[TabularQ]:
+    """
+    Let models learn at the same time, one thread each: compiled stretches leave the interpreter lock to the others.
+    Every model ends as it would alone.
+
+    :param models: models on a :class:`sb3_adaptive_q.CompiledVecEnv`, each with an environment of its own
+    :param total_timesteps: as in ``learn``
+    :param workers: how many learn at a time; ``None`` for the number of cores
+    :param log_interval: as in ``learn``
+    :param reset_num_timesteps: as in ``learn``
+    :return: the models
+    :raises ValueError: if a model is there twice, its environment is not compiled, or two share an environment
+    """
+    _check_independence(models)
+    if workers is not None and workers < 1:
+        raise ValueError(f"`workers` must be at least 1, or None for the number of cores, but got {workers}.")
+
+    def learn(model: TabularQ) -> TabularQ:
+        return model.learn(total_timesteps, log_interval=log_interval, reset_num_timesteps=reset_num_timesteps)
+
+    with ThreadPoolExecutor(workers or _count_cores()) as executor:
+        return list(executor.map(learn, models))
+
+
+def _check_independence(models: Sequence[TabularQ]) -> None:
+    if len({id(model) for model in models}) < len(models):
+        raise ValueError("Each model can learn once at a time, but one is there twice: make a model for each run.")
+    for i, model in enumerate(models):
+        if not isinstance(model.env, CompiledVecEnv):
+            raise ValueError(
+                f"learn_many needs models on a CompiledVecEnv, but model {i} has a {type(model.env).__name__}: other "
+                "environments hold the interpreter lock, so let those models learn one after the other."
+            )
+    environments = [id(env) for model in models for env in model.env.envs]  # type: ignore[union-attr]
+    if len(set(environments)) < len(environments):
+        raise ValueError("Models that learn at the same time need environments of their own, but two share one.")
+
+
+def _count_cores() -> int:
+    if hasattr(os, "sched_getaffinity"):  # what this process may use, where the system tells
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

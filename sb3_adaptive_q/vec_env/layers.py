@@ -1,0 +1,110 @@
+"""The layers of wrappers around an environment, and a step that goes through them at once."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
+from gymnasium.wrappers.common import TimeLimit
+from stable_baselines3.common.monitor import Monitor
+
+from wrappers import DiscretizeObservation
+
+Step = tuple[Any, Any, bool, bool, dict[str, Any]]
+
+
+class Layers(NamedTuple):
+    """
+    The outermost wrappers of an environment, as far as they are of the kinds named here and in this order.
+
+    :param monitor: SB3's Monitor
+    :param discretizer: the discretisation of the observation, around the Monitor or inside it
+    :param limit: the time limit
+    :param checked: the environment with gymnasium's own checks around it
+    :param inner: what is inside all of these: the environment itself, or a wrapper of another kind
+    """
+
+    monitor: Monitor | None
+    discretizer: DiscretizeObservation | None
+    limit: TimeLimit | None
+    checked: gym.Env
+    inner: gym.Env
+
+
+def peel(env: gym.Env) -> Layers:
+    """
+    :param env: an environment with its wrappers
+    :return: the layers
+    """
+    found: dict[type, Any] = dict.fromkeys((DiscretizeObservation, Monitor, TimeLimit))
+    for kind in (DiscretizeObservation, Monitor, DiscretizeObservation, TimeLimit):
+        # rl_zoo3 puts a subclass in TimeLimit's place; of the others a subclass may step differently
+        if (type(env) is kind or (kind is TimeLimit and isinstance(env, kind))) and found[kind] is None:
+            found[kind] = env
+            env = env.env  # type: ignore[attr-defined]
+    checked = env
+    while type(env) in (OrderEnforcing, PassiveEnvChecker):
+        env = env.env  # type: ignore[attr-defined]
+    return Layers(found[Monitor], found[DiscretizeObservation], found[TimeLimit], checked, env)
+
+
+class LayeredStep:
+    """
+    What ``env.step`` does, in one call instead of one for each wrapper; they are left as they would be.
+
+    gymnasium's checks look at the first step alone, so later steps pass them by. A Monitor is given the last step of an
+    episode to do its work there, and until then its rewards.
+
+    :param env: the environment with its wrappers
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        layers = peel(env)
+        self.monitor, self.limit = layers.monitor, layers.limit
+        self.max_episode_steps = layers.limit._max_episode_steps if layers.limit else 0
+        self.observe: Callable[[Any], Any] | None = layers.discretizer.observation if layers.discretizer else None
+        self.inner_step: Callable[[Any], Step] = layers.inner.step
+        self.checked_step: Callable[[Any], Step] | None = layers.checked.step
+
+    def __call__(self, action: Any) -> Step:
+        """
+        :param action: the action to take
+        :return: what ``env.step`` returns
+        """
+        step = self.inner_step
+        if self.checked_step is not None:
+            step, self.checked_step = self.checked_step, None
+        observation, reward, terminated, truncated, info = step(action)
+        limit, monitor = self.limit, self.monitor
+        if limit is not None:
+            limit._elapsed_steps += 1
+            if limit._elapsed_steps >= self.max_episode_steps:
+                truncated = True
+        if self.observe is not None:
+            observation = self.observe(observation)
+        if monitor is None:
+            return observation, reward, terminated, truncated, info
+        if terminated or truncated or monitor.needs_reset:
+            return self._finish(monitor, action, (observation, reward, terminated, truncated, info))
+        monitor.rewards.append(float(reward))
+        monitor.total_steps += 1
+        return observation, reward, terminated, truncated, info
+
+    @staticmethod
+    def _finish(monitor: Monitor, action: Any, outcome: Step) -> Step:
+        env = monitor.env
+        monitor.env = _Outcome(outcome)  # type: ignore[assignment]
+        try:
+            return monitor.step(action)
+        finally:
+            monitor.env = env
+
+
+class _Outcome:
+    """Stands in for an environment that has made its step already."""
+
+    def __init__(self, outcome: Step) -> None:
+        self.outcome = outcome
+
+    def step(self, action: Any) -> Step:
+        return self.outcome

@@ -1,0 +1,296 @@
+"""Training with RL Zoo: TabularQ among its algorithms, and its ``train`` and ``enjoy`` with our defaults."""
+
+import argparse
+import shutil
+import sys
+from functools import partial
+from math import sqrt
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Any
+
+import optuna
+import rl_zoo3.enjoy
+import rl_zoo3.train
+import yaml
+from rl_zoo3.exp_manager import ExperimentManager
+from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+
+from sb3_adaptive_q.callbacks import METHODS
+from sb3_adaptive_q.tabular_q import TabularQ
+from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+
+ALGORITHM = "tabular_q"
+#: The hyperparameters used where ``-conf`` names no others
+CONFIG = Path(__file__).parent / "hyperparams" / "tabular_q.yml"
+VEC_ENVS = {"dummy": LeanVecEnv, "compiled": CompiledVecEnv, "subproc": SubprocVecEnv}
+#: What both of RL Zoo's programs are told first; what the user says comes later and so prevails
+DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
+#: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
+N_EVALUATION_EPISODES = 500
+N_EVALUATION_ENVS = 10
+#: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
+NOT_PYTHON = (NameError, SyntaxError)
+#: What a mistake on the command line or in the YAML file raises while an experiment is set up
+MISTAKES = (*NOT_PYTHON, AssertionError, AttributeError, ImportError, OSError, TypeError, ValueError, yaml.YAMLError)
+
+
+def register() -> None:
+    """Make ``tabular_q`` known to RL Zoo, with its search space for ``--optimize``."""
+    rl_zoo3.ALGOS[ALGORITHM] = TabularQ
+    HYPERPARAMS_SAMPLER[ALGORITHM] = sample_hyperparameters
+    HYPERPARAMS_CONVERTER[ALGORITHM] = convert_hyperparameters  # type: ignore[assignment]
+
+
+def sample_hyperparameters(
+    trial: optuna.Trial, n_actions: int, n_envs: int, additional_args: dict[str, Any]
+) -> dict[str, Any]:
+    """
+    Draw a candidate for ``--optimize``. All methods are described by the same four numbers, so that what is learned about
+    one method helps with the others; Method 2 is Method 1 with another constant, and so is a plain learning rate.
+
+    :param trial: the trial to draw for
+    :param n_actions: unused, of RL Zoo's interface, as are the next two
+    :param n_envs: unused
+    :param additional_args: unused
+    :return: arguments of TabularQ
+    """
+    sampled = {
+        "method": trial.suggest_categorical("method", [1, 3, 4, 5, 6, 7, 8]),
+        # The largest step size, the smallest one as a fraction of it, and how fast Methods 5 to 8 move, as a multiple
+        "upper": trial.suggest_float("upper", 0.002, 1.0, log=True),
+        "lower_fraction": trial.suggest_float("lower_fraction", 0.001, 1.0, log=True),
+        "change": trial.suggest_float("change", 0.01, 10.0, log=True),
+        "one_minus_gamma": trial.suggest_float("one_minus_gamma", 0.0001, 0.1, log=True),
+        "exploration_fraction": trial.suggest_float("exploration_fraction", 0.1, 1.0),
+        "exploration_final_eps": trial.suggest_float("exploration_final_eps", 0.0, 0.2),
+    }
+    return convert_hyperparameters(sampled)
+
+
+def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
+    """
+    Turn what a trial stores into what TabularQ takes.
+
+    :param sampled: the numbers drawn by :func:`sample_hyperparameters`, by their names in the trial
+    :return: arguments of TabularQ
+    """
+    number, upper = sampled["method"], sampled["upper"]
+    lower, change = upper * sampled["lower_fraction"], upper * sampled["change"]
+    bounds = {"mu_0": upper, "lower": lower, "upper": upper}
+    method_kwargs = {
+        1: {"beta": upper},
+        3: {"beta_1": lower, "beta_3": upper - lower},
+        4: {"beta_1": lower, "beta_3": upper - lower},
+        5: {"gain": -change, **bounds},
+        6: {"gain": change, **bounds},
+        7: {"step": change, **bounds},
+        8: {"step": -change, **bounds},
+    }
+    return {
+        "method": number,
+        "method_kwargs": method_kwargs[number],
+        "gamma": 1.0 - sampled["one_minus_gamma"],
+        "exploration_fraction": sampled["exploration_fraction"],
+        "exploration_final_eps": sampled["exploration_final_eps"],
+    }
+
+
+def merge_method(hyperparams: dict[str, Any] | None, method: int | None) -> dict[str, Any]:
+    """
+    Let what the command line says of the learning rate replace all that the YAML file says of it.
+
+    :param hyperparams: the value of ``-params``
+    :param method: the value of ``--method``
+    :return: what is to be put over the YAML file's entry
+    :raises ValueError: if the two say different things
+    """
+    merged = dict(hyperparams or {})
+    rivals = sorted({"method", "learning_rate"} & set(merged))
+    if method is not None and rivals:
+        raise ValueError(f"--method {method} and -params {rivals[0]}:... both set the learning rate: give one of them.")
+    if method is not None:
+        merged["method"] = method
+    if "method" in merged:
+        merged.setdefault("method_kwargs", None)
+    elif "learning_rate" in merged:
+        merged.update(method=None, method_kwargs=None)
+    return merged
+
+
+class TabularQExperiment(ExperimentManager):
+    """
+    An experiment of RL Zoo with our vectorised environments and hyperparameters, and a summary at the end.
+
+    :param args: RL Zoo's part of the command line, which it saves beside the model
+    :param algo: the key of the algorithm
+    :param ours: our part of the command line, from :func:`parse_options`; ``started`` is set once all is built
+    """
+
+    def __init__(self, args: argparse.Namespace, algo: str, *arguments: Any, ours: argparse.Namespace, **options: Any) -> None:
+        if algo == ALGORITHM and options["config"] is None:
+            options["config"] = str(CONFIG)
+        super().__init__(args, algo, *arguments, **options)
+        self.ours = ours
+        self.vec_env_class = VEC_ENVS[ours.vec_env]
+        args.vec_env = ours.vec_env
+        if algo == ALGORITHM:
+            args.hyperparams = self.custom_hyperparams = merge_method(self.custom_hyperparams, ours.method)
+
+    def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
+        """
+        Read the hyperparameters, and build the environments and the model.
+
+        :return: the model and the hyperparameters to save; ``None`` if these are to be optimised
+        """
+        results = super().setup_experiment()
+        self.ours.started = True
+        return results
+
+    def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
+        # The method is what the command line and the YAML file say, not what was in force when the model was saved
+        if self.algo == ALGORITHM:
+            hyperparams["_rate_data"] = None
+        return super()._load_pretrained_agent(hyperparams, env)
+
+    def save_trained_model(self, model: BaseAlgorithm) -> None:
+        """
+        Save the model, and print what came of the training.
+
+        :param model: the trained model
+        """
+        super().save_trained_model(model)
+        recent = [info["r"] for info in model.ep_info_buffer or ()]
+        greedy = self._greedy_rewards(model)
+        rows = [
+            (f"Training, last {len(recent)} episodes", describe(recent)),
+            (f"Greedy policy, {len(greedy)} episodes", describe(greedy)),
+            ("Model", f"{self.save_path}/{self.env_name}.zip"),
+            *self._tensorboard_rows(model),
+        ]
+        width = max(len(name) for name, _ in rows)
+        print("\n" + "\n".join(f"{name:<{width}}  {value}" for name, value in rows))
+
+    def _greedy_rewards(self, model: BaseAlgorithm) -> list[float]:
+        # Played in the ordinary environment, however the model was trained
+        self.vec_env_class = LeanVecEnv
+        env = self.create_envs(N_EVALUATION_ENVS, eval_env=True)
+        rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, return_episode_rewards=True)
+        env.close()
+        assert isinstance(rewards, list)
+        return rewards
+
+    def _tensorboard_rows(self, model: BaseAlgorithm) -> list[tuple[str, str]]:
+        if self.tensorboard_log is None:
+            return [("TensorBoard log", "none: ask for one with -tb FOLDER")]
+        return [
+            ("TensorBoard log", str(model.logger.get_dir())),
+            ("Open it with", f"{tensorboard_command()} --logdir {Path(self.tensorboard_log).parent}"),
+        ]
+
+
+def describe(rewards: list[float]) -> str:
+    """
+    :param rewards: the return of every episode
+    :return: their mean and its standard error, in words
+    """
+    if len(rewards) < 2:
+        return "too few to tell"
+    return f"mean reward {fmean(rewards):.2f} ± {stdev(rewards) / sqrt(len(rewards)):.2f} (standard error)"
+
+
+def tensorboard_command() -> str:
+    """:return: what starts TensorBoard, also where the virtual environment is not activated"""
+    beside = Path(sys.executable).with_name("tensorboard")
+    if shutil.which("tensorboard") == str(beside) or not beside.exists():
+        return "tensorboard"
+    return str(beside.relative_to(Path.cwd()) if beside.is_relative_to(Path.cwd()) else beside)
+
+
+def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
+    """
+    :param arguments: the command line
+    :return: our options, and the rest, which is RL Zoo's
+    """
+    parser = argparse.ArgumentParser(
+        usage="%(prog)s [enjoy] [option ...]",
+        description="Train with RL Zoo; after the word enjoy, play a trained agent. Unless told otherwise: --algo tabular_q "
+        f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
+        add_help=False,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--method",
+        type=int,
+        choices=METHODS,
+        help="number of the learning-rate method, with the paper's parameters, in place of the YAML file's",
+    )
+    parser.add_argument(
+        "--vec-env",
+        choices=VEC_ENVS,
+        default="dummy",
+        help="step the environments one after the other, in compiled code, or each in a process of its own",
+    )
+    parser.add_argument("-P", "--progress", action="store_true", help="a progress bar; no tables then unless --verbose 1")
+    parser.set_defaults(started=False)
+    ours, rest = parser.parse_known_args(arguments)
+    if {"-h", "--help"} & set(rest):
+        parser.print_help()
+        print()
+    return ours, rest
+
+
+def train(arguments: list[str]) -> None:
+    """
+    Run RL Zoo's ``train`` with our defaults and options.
+
+    :param arguments: the command line
+    :raises SystemExit: if there is a mistake in it, or in the YAML file
+    """
+    ours, rest = parse_options(arguments)
+    progress = ["-P", "--verbose", "0"] if ours.progress else []
+    sys.argv[1:] = [*DEFAULTS, *progress, *rest]
+    rl_zoo3.train.ExperimentManager = partial(TabularQExperiment, ours=ours)  # type: ignore
+    try:
+        rl_zoo3.train.train()
+    except MISTAKES as error:
+        if ours.started:
+            raise
+        hint = " (values on the command line are Python: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        sys.exit(f"error: {error}{hint}")
+
+
+def enjoy(arguments: list[str]) -> None:
+    """
+    Run RL Zoo's ``enjoy``, which plays a trained agent, with our defaults.
+
+    :param arguments: the command line
+    :raises SystemExit: if there is no such agent
+    """
+    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
+    try:
+        rl_zoo3.enjoy.enjoy()
+    except (AssertionError, ValueError) as error:
+        sys.exit(f"error: {error}")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """
+    Train or, with ``enjoy`` as the first argument, play.
+
+    :param arguments: the command line; ``None`` for that of the process
+    :raises SystemExit: if there is a mistake in it
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    register()
+    if arguments[:1] == ["enjoy"]:
+        enjoy(arguments[1:])
+    else:
+        train(arguments)
+
+
+if __name__ == "__main__":
+    main()
