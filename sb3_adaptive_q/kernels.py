@@ -18,6 +18,7 @@ class Learner(NamedTuple):
     """
     What stays as it is during one call of ``learn``.
 
+    :param n_actions: how many actions there are
     :param gamma: the discount factor γ
     :param exploration_initial_eps: ε at the start
     :param exploration_final_eps: ε at the end of the decay
@@ -30,6 +31,7 @@ class Learner(NamedTuple):
     :param mu_0: the step size to start from
     """
 
+    n_actions: int
     gamma: float
     exploration_initial_eps: float
     exploration_final_eps: float
@@ -65,48 +67,51 @@ def exploration_rate(learner, progress):
     return learner.exploration_initial_eps + learner.exploration_slope * progress
 
 
-def greedy_action(table, state):
+def greedy_action(table, state, n_actions):
     """
     :param table: Q, of shape (n_states, n_actions)
     :param state: the row
+    :param n_actions: its length; a memoryview would make a tuple to tell it
     :return: the action of the largest value, the first of them in a tie
     """
     best_action = 0
     best_value = table[state, 0]
-    for action in range(1, table.shape[1]):
+    for action in range(1, n_actions):
         value = table[state, action]
         if value > best_value:
             best_action, best_value = action, value
     return best_action
 
 
-def maximum_value(table, state):
+def maximum_value(table, state, n_actions):
     """
     :param table: Q, of shape (n_states, n_actions)
     :param state: the row
+    :param n_actions: its length; a memoryview would make a tuple to tell it
     :return: max_a Q(s, a)
     """
     best_value = table[state, 0]
-    for action in range(1, table.shape[1]):
+    for action in range(1, n_actions):
         value = table[state, action]
         if value > best_value:
             best_value = value
     return best_value
 
 
-def choose_action(table, state, epsilon, generator):
+def choose_action(table, state, n_actions, epsilon, generator):
     """
     The ε-greedy behaviour policy. A second number is drawn only where the first one asks for exploration.
 
     :param table: Q, of shape (n_states, n_actions)
     :param state: the state to act in
+    :param n_actions: how many actions there are
     :param epsilon: the probability of a uniformly random action
     :param generator: the agent's own NumPy generator
     :return: the action
     """
     if generator.random() < epsilon:
-        return int(generator.random() * table.shape[1])
-    return greedy_action(table, state)
+        return int(generator.random() * n_actions)
+    return greedy_action(table, state, n_actions)
 
 
 def value_before_update(table, learner, state, action, value, next_state, next_action, best_next_value):
@@ -142,7 +147,10 @@ def record_update(statistics, mu, td_error):
     :return: the statistics with the update
     """
     n_updates, mu_sum, mu_min, mu_max, td_error_sum = statistics
-    return n_updates + 1, mu_sum + mu, min(mu_min, mu), max(mu_max, mu), td_error_sum + abs(td_error)
+    # Comparisons, because a call of min or max costs the per-step path more than the rest of this line
+    mu_min = mu if mu < mu_min else mu_min
+    mu_max = mu if mu > mu_max else mu_max
+    return n_updates + 1, mu_sum + mu, mu_min, mu_max, td_error_sum + abs(td_error)
 
 
 def next_rate(rule, parameters, mu, transition):
@@ -188,21 +196,21 @@ def learn_transition(
     value = table[state, action]
     best_next_value = 0.0
     if not terminated:
-        best_next_value = maximum_value(table, next_state)
+        best_next_value = maximum_value(table, next_state, learner.n_actions)
     td_error = reward + learner.gamma * best_next_value - value
     table[state, action] = value + mu * td_error  # Eq. 2
 
     next_action = 0
     next_value = 0.0
     if not terminated:
-        next_action = choose_action(table, next_state, epsilon, generator)
+        next_action = choose_action(table, next_state, learner.n_actions, epsilon, generator)
         next_value = value_before_update(table, learner, state, action, value, next_state, next_action, best_next_value)
     if done:
         n_episodes += 1
         if learner.total_episodes > 0:
             progress = progress_made(learner, 0, n_episodes)
             epsilon = exploration_rate(learner, progress)
-        next_action = choose_action(table, reset_state, epsilon, generator)
+        next_action = choose_action(table, reset_state, learner.n_actions, epsilon, generator)
 
     mu = next_rate(rule, parameters, mu, Transition(value, next_value, td_error, progress))
     if done and learner.reset_each_episode:

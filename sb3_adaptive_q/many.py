@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from sb3_adaptive_q.tabular_q import TabularQ
+from sb3_adaptive_q.vec_env import CompiledVecEnv
 
 
 def learn_many(

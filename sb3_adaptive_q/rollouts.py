@@ -1,7 +1,7 @@
 """How transitions are made and learned from: one step of the environment at a time."""
 
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
@@ -59,6 +59,7 @@ class StepRollout:
         Take the chosen actions.
 
         :return: actions, new observations, rewards, whether an episode ended, infos, as ``VecEnv.step`` has them
+        :raises ValueError: if a reward is not a finite number; the table stays as it was
         """
         actions = np.array(self.actions)
         if self.first_action:
@@ -70,18 +71,13 @@ class StepRollout:
         return actions, new_obs, rewards, dones, infos
 
     def learn(self) -> None:
-        """
-        Learn from the transitions that were made last, and choose the next actions.
-
-        :raises ValueError: if a reward is not a finite number; the table stays as it was
-        """
-        self._check_rewards()
+        """Learn from the transitions that were made last, and choose the next actions."""
         self._note_episodes()
         model, learner = self.model, self.learner
         if learner.total_episodes == 0:
             self.progress = kernels.progress_made(learner, model.num_timesteps, 0)
             model.exploration_rate = kernels.exploration_rate(learner, self.progress)
-        mu, epsilon, progress, n_episodes = model.mu, model.exploration_rate, self.progress, model._episode_num
+        mu, epsilon, progress, n_episodes = model._mu[0], model.exploration_rate, self.progress, model._episode_num
         for i, transition in enumerate(self.transitions):
             self.actions[i], next_mu, epsilon, progress, n_episodes, td_error = kernels.learn_transition(
                 model._table, model._generator, learner, model._rule, model._rule_arguments,
@@ -120,6 +116,8 @@ class StepRollout:
         """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
         transitions = []
         for i, done in enumerate(self.dones):
+            if not isfinite(rewards[i]):
+                self._refuse_reward(i, rewards[i])
             state = self._state_of(observations[i])
             next_state, terminated = state, done
             if done and self.infos[i].get("TimeLimit.truncated", False):
@@ -130,12 +128,10 @@ class StepRollout:
 
     def _choose_action(self, state: int) -> int:
         model = self.model
-        return kernels.choose_action(model._table, state, model.exploration_rate, model._generator)
+        return kernels.choose_action(model._table, state, self.learner.n_actions, model.exploration_rate, model._generator)
 
-    def _check_rewards(self) -> None:
-        for i, (reward, *_) in enumerate(self.transitions):
-            if not isfinite(reward):
-                raise ValueError(
-                    f"Rewards must be finite, but at step {self.model.num_timesteps} environment {i} gave {reward} for "
-                    f"action {self.actions[i] + self.first_action} in state {self.states[i]}: please check its reward."
-                )
+    def _refuse_reward(self, i: int, reward: float) -> NoReturn:
+        raise ValueError(
+            f"Rewards must be finite, but at step {self.model.num_timesteps} environment {i} gave {reward} for action "
+            f"{self.actions[i] + self.first_action} in state {self.states[i]}: please check its reward."
+        )

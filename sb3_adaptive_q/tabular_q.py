@@ -264,6 +264,7 @@ class TabularQ(BaseAlgorithm):
         decay = self.exploration_final_eps - self.exploration_initial_eps
         rate = self._rate
         return kernels.Learner(
+            n_actions=self.q_table.shape[1],
             gamma=float(self.gamma),
             exploration_initial_eps=float(self.exploration_initial_eps),
             exploration_final_eps=float(self.exploration_final_eps),

@@ -48,7 +48,7 @@ def peel(env: gym.Env) -> Layers:
     return Layers(found[Monitor], found[DiscretizeObservation], found[TimeLimit], checked, env)
 
 
-class LayeredStep:
+def layered_step(env: gym.Env) -> Callable[[Any], Step]:
     """
     What ``env.step`` does, in one call instead of one for each wrapper; they are left as they would be.
 
@@ -56,48 +56,42 @@ class LayeredStep:
     episode to do its work there, and until then its rewards.
 
     :param env: the environment with its wrappers
+    :return: a function of the action that returns what ``env.step`` returns
     """
+    monitor, discretizer, limit, checked, inner = peel(env)
+    inner_step, checked_step = inner.step, checked.step
+    observe = discretizer.observation if discretizer is not None else None
+    was_checked = False
 
-    def __init__(self, env: gym.Env) -> None:
-        layers = peel(env)
-        self.monitor, self.limit = layers.monitor, layers.limit
-        self.max_episode_steps = layers.limit._max_episode_steps if layers.limit else 0
-        self.observe: Callable[[Any], Any] | None = layers.discretizer.observation if layers.discretizer else None
-        self.inner_step: Callable[[Any], Step] = layers.inner.step
-        self.checked_step: Callable[[Any], Step] | None = layers.checked.step
-
-    def __call__(self, action: Any) -> Step:
-        """
-        :param action: the action to take
-        :return: what ``env.step`` returns
-        """
-        step = self.inner_step
-        if self.checked_step is not None:
-            step, self.checked_step = self.checked_step, None
-        observation, reward, terminated, truncated, info = step(action)
-        limit, monitor = self.limit, self.monitor
+    def step(action: Any) -> Step:
+        nonlocal was_checked
+        if was_checked:
+            observation, reward, terminated, truncated, info = inner_step(action)
+        else:
+            observation, reward, terminated, truncated, info = checked_step(action)
+            was_checked = True
         if limit is not None:
-            limit._elapsed_steps += 1
-            if limit._elapsed_steps >= self.max_episode_steps:
-                truncated = True
-        if self.observe is not None:
-            observation = self.observe(observation)
-        if monitor is None:
-            return observation, reward, terminated, truncated, info
-        if terminated or truncated or monitor.needs_reset:
-            return self._finish(monitor, action, (observation, reward, terminated, truncated, info))
-        monitor.rewards.append(float(reward))
-        monitor.total_steps += 1
+            limit._elapsed_steps = elapsed_steps = limit._elapsed_steps + 1  # type: ignore[assignment, operator]
+            truncated = truncated or elapsed_steps >= limit._max_episode_steps
+        if observe is not None:
+            observation = observe(observation)
+        if monitor is not None:
+            if terminated or truncated or monitor.needs_reset:
+                return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
+            monitor.rewards.append(float(reward))  # type: ignore[arg-type]
+            monitor.total_steps += 1
         return observation, reward, terminated, truncated, info
 
-    @staticmethod
-    def _finish(monitor: Monitor, action: Any, outcome: Step) -> Step:
-        env = monitor.env
-        monitor.env = _Outcome(outcome)  # type: ignore[assignment]
-        try:
-            return monitor.step(action)
-        finally:
-            monitor.env = env
+    return step
+
+
+def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
+    env = monitor.env
+    monitor.env = _Outcome(outcome)  # type: ignore[assignment]
+    try:
+        return monitor.step(action)  # type: ignore[return-value]
+    finally:
+        monitor.env = env
 
 
 class _Outcome:
