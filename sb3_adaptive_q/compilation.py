@@ -82,7 +82,7 @@ def _collect(item: Any, found: list[types.FunctionType]) -> None:
             _collect(value, found)
 
 
-def _parts(functions: tuple[Callable, ...]) -> Iterator[Any]:
+def _parts(functions: tuple[Callable[..., Any], ...]) -> Iterator[Any]:
     """What decides how the functions behave, in an order that is the same in every process."""
     for function in functions:
         for helper in helpers_of(getattr(function, "py_func", function)):

@@ -14,11 +14,11 @@ from sb3_adaptive_q import kernels
 from sb3_adaptive_q.compilation import FunctionSet, compile_cached, helpers_of, source_digest
 from sb3_adaptive_q.vec_env.dynamics import SOUND
 
-INLINED = {"forceinline": True}
+INLINED: Any = {"forceinline": True}
 
-_functions: dict[tuple[str, str], dict[str, Callable]] = {}
+_functions: dict[tuple[str, str], dict[str, Callable[..., Any]]] = {}
 _containers: dict[tuple[str, str], type] = {}
-_compilable: set[Callable] = {kernels.next_rate}  # overloaded below
+_compilable: set[Any] = {kernels.next_rate}  # overloaded below
 
 
 class FunctionSetType(types.Opaque):
@@ -52,7 +52,7 @@ def _unbox_function_set(numba_type: Any, value: Any, context: Any) -> NativeValu
     return NativeValue(context.context.get_dummy_value())
 
 
-def make_compilable(function: Callable) -> None:
+def make_compilable(function: Callable[..., Any]) -> None:
     """
     Let compiled code call a plain function, and whatever plain functions that one calls.
 
@@ -138,7 +138,7 @@ def store_state(states, i, state):
 def _load_state(states, i, template):
     if isinstance(template, types.BaseTuple):
         size = len(template)
-        return lambda states, i, template: to_fixed_tuple(states[i], size)
+        return lambda states, i, template: to_fixed_tuple(states[i], size)  # type: ignore[call-arg]
     number = types.int64 if isinstance(template, types.Integer) else types.float64
     return lambda states, i, template: number(states[i, 0])
 
@@ -200,7 +200,7 @@ class Lane(NamedTuple):
     state: Any
     length: int
     episode_return: float
-    index: int
+    index: int  # type: ignore[assignment]  # not the tuple's method
     action: int
     reward: float
     next_index: int
@@ -345,11 +345,11 @@ def tick(learner, counters, n_envs):
     return Counters(counters.mu, epsilon, progress, counters.n_episodes, num_timesteps)
 
 
-for _function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, learn_lane, tick):
-    make_compilable(_function)
+for _lane_function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, learn_lane, tick):
+    make_compilable(_lane_function)
 
 
-@njit(nogil=True, _nrt=False)  # counting references to the arrays in the loop would triple its time
+@njit(nogil=True, _nrt=False)  # type: ignore[call-overload]  # counting references to the arrays in the loop would triple its time
 def _stretch(
     dynamics, parameters, generators, template, max_episode_steps, lanes,
     table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,

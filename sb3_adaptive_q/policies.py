@@ -34,8 +34,8 @@ class TabularQPolicy(BasePolicy):
 
     def __init__(
         self,
-        observation_space: spaces.Space,
-        action_space: spaces.Space,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
         lr_schedule: Schedule,
         initial_q: float = 0.0,
     ) -> None:
@@ -72,11 +72,11 @@ class TabularQPolicy(BasePolicy):
         :raises ValueError: if an observation lies outside the observation space
         """
         if isinstance(observation, tuple | dict):
-            return super().predict(observation, state, episode_start, deterministic)  # type: ignore[arg-type]
+            return super().predict(observation, state, episode_start, deterministic)
         observation = np.asarray(observation)
         is_batch = self.is_vectorized_observation(observation)
         actions = self._greedy_actions(observation.reshape(-1, *self.observation_space.shape))  # type: ignore[misc]
-        return (actions if is_batch else actions[0]), state  # type: ignore[return-value]
+        return (actions if is_batch else actions[0]), state
 
     def _greedy_actions(self, observations: np.ndarray) -> np.ndarray:
         rows = self.q_table.numpy()[self.state_index.of_batch(observations)]
@@ -88,7 +88,7 @@ class TabularQPolicy(BasePolicy):
         return {**data, "lr_schedule": self._dummy_schedule, "initial_q": self.initial_q}
 
 
-def count_actions(space: spaces.Space) -> int:
+def count_actions(space: spaces.Space[Any]) -> int:
     """
     :param space: the action space
     :return: how many actions it has

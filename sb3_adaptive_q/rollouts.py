@@ -48,7 +48,7 @@ class StepRollout:
         model.exploration_rate = kernels.exploration_rate(learner, self.progress)
         self.state_index = model.policy.state_index
         self._state_of = self.state_index.of
-        self.states = [self._state_of(observation) for observation in model._last_obs.tolist()]  # type: ignore[union-attr]
+        self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
         self.first_action = int(model.action_space.start)  # type: ignore[attr-defined]
         if model._next_actions is None:
             model._next_actions = [self._choose_action(state) for state in self.states]
@@ -67,7 +67,7 @@ class StepRollout:
         new_obs, rewards, dones, infos = self.env.step(actions)
         self.model.num_timesteps += self.env.num_envs
         self.infos, self.dones = infos, dones.tolist()
-        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())
+        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
         return actions, new_obs, rewards, dones, infos
 
     def learn(self) -> None:

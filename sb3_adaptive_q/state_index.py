@@ -15,12 +15,12 @@ class StateIndex:
     :raises ValueError: for any other space
     """
 
-    def __init__(self, space: spaces.Space) -> None:
+    def __init__(self, space: spaces.Space[Any]) -> None:
         self.space = space
         self.sizes, self.starts = _components(space)
         self.n_states = prod(self.sizes)
         if isinstance(space, spaces.Discrete):
-            self.of = self._of_number
+            self.of = self._of_number  # type: ignore[method-assign]
 
     def _of_number(self, observation: int) -> int:
         """The row of a Discrete observation; :meth:`of` for these."""
@@ -66,7 +66,7 @@ class StateIndex:
         return f"The observation {observation} lies outside the observation space {self.space}: please check the environment."
 
 
-def _components(space: spaces.Space) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _components(space: spaces.Space[Any]) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The number of values of each component of a space, and its least value."""
     if isinstance(space, spaces.Discrete):
         return (int(space.n),), (int(space.start),)

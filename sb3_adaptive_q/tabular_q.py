@@ -129,10 +129,11 @@ class TabularQ(BaseAlgorithm):
         self.policy = self.policy_class(  # type: ignore[assignment]
             self.observation_space, self.action_space, self.lr_schedule, initial_q=self.initial_q, **self.policy_kwargs
         ).to(self.device)
-        self._table = memoryview(self.q_table)  # type: ignore[arg-type]
-        self._mu = memoryview(self.policy.mu.numpy())  # type: ignore[arg-type]
+        self._table: Any = memoryview(self.q_table)  # type: ignore[arg-type]
+        self._mu: Any = memoryview(self.policy.mu.numpy())  # type: ignore[arg-type]
         self._rate: InstalledRate | None = None
-        self._rule, self._rule_arguments = HOLD, ()
+        self._rule = HOLD
+        self._rule_arguments: tuple[float, ...] = ()
         self._next_actions: list[int] | None = None
         if self._rate_data is not None:
             self._use_rate(InstalledRate(**self._rate_data))

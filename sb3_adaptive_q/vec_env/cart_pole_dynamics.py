@@ -82,14 +82,9 @@ class CartPoleDynamics(_CartPoleDynamics):
                 "use LeanVecEnv, which works with everything."
             )
         assert grid is not None
-        names = CartPoleParameters._fields[:9]
-        sutton_barto = cart_pole._sutton_barto_reward
-        self.parameters = CartPoleParameters(
-            *(float(getattr(cart_pole, name)) for name in names),
-            reward_inside=0.0 if sutton_barto else 1.0,
-            reward_outside=-1.0 if sutton_barto else 1.0,
-            **grid._asdict(),
-        )
+        constants = [float(getattr(cart_pole, name)) for name in CartPoleParameters._fields[:9]]
+        rewards = (0.0, -1.0) if cart_pole._sutton_barto_reward else (1.0, 1.0)
+        self.parameters = CartPoleParameters._make([*constants, *rewards, *grid])
 
     @staticmethod
     def step(parameters, state, action, generator):
@@ -146,7 +141,7 @@ class CartPoleFrictionDynamics(_CartPoleDynamics):
     def __init__(self, env: gym.Env, grid: Grid | None) -> None:
         super().__init__(env, grid)
         assert grid is not None
-        self.parameters = FrictionParameters(*env.parameters, **grid._asdict())  # type: ignore[attr-defined]
+        self.parameters = FrictionParameters._make([*env.parameters, *grid])  # type: ignore[attr-defined]
 
     @staticmethod
     def step(parameters, state, action, generator):

@@ -26,7 +26,7 @@ class Layers(NamedTuple):
 
     monitor: Monitor | None
     discretizer: DiscretizeObservation | None
-    limit: TimeLimit | None
+    limit: Any  # TimeLimit | None, but gymnasium types its counter of steps as None
     checked: gym.Env
     inner: gym.Env
 
@@ -38,14 +38,21 @@ def peel(env: gym.Env) -> Layers:
     """
     found: dict[type, Any] = dict.fromkeys((DiscretizeObservation, Monitor, TimeLimit))
     for kind in (DiscretizeObservation, Monitor, DiscretizeObservation, TimeLimit):
-        # rl_zoo3 puts a subclass in TimeLimit's place; of the others a subclass may step differently
-        if (type(env) is kind or (kind is TimeLimit and isinstance(env, kind))) and found[kind] is None:
+        if _is_exactly(env, kind) and found[kind] is None:
             found[kind] = env
             env = env.env  # type: ignore[attr-defined]
     checked = env
     while type(env) in (OrderEnforcing, PassiveEnvChecker):
         env = env.env  # type: ignore[attr-defined]
     return Layers(found[Monitor], found[DiscretizeObservation], found[TimeLimit], checked, env)
+
+
+def _is_exactly(env: gym.Env, kind: type) -> bool:
+    """Whether it is a wrapper of that class: a subclass may step differently."""
+    if kind is TimeLimit:  # rl_zoo3 puts a class of its own in the place of gymnasium's, which ends the same steps
+        name = f"{type(env).__module__}.{type(env).__qualname__}"
+        return name in ("gymnasium.wrappers.common.TimeLimit", "rl_zoo3.gym_patches.PatchedTimeLimit")
+    return type(env) is kind
 
 
 def layered_step(env: gym.Env) -> Callable[[Any], Step]:
@@ -71,14 +78,14 @@ def layered_step(env: gym.Env) -> Callable[[Any], Step]:
             observation, reward, terminated, truncated, info = checked_step(action)
             was_checked = True
         if limit is not None:
-            limit._elapsed_steps = elapsed_steps = limit._elapsed_steps + 1  # type: ignore[assignment, operator]
+            limit._elapsed_steps = elapsed_steps = limit._elapsed_steps + 1
             truncated = truncated or elapsed_steps >= limit._max_episode_steps
         if observe is not None:
             observation = observe(observation)
         if monitor is not None:
             if terminated or truncated or monitor.needs_reset:
                 return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
-            monitor.rewards.append(float(reward))  # type: ignore[arg-type]
+            monitor.rewards.append(float(reward))
             monitor.total_steps += 1
         return observation, reward, terminated, truncated, info
 
@@ -89,7 +96,7 @@ def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
     env = monitor.env
     monitor.env = _Outcome(outcome)  # type: ignore[assignment]
     try:
-        return monitor.step(action)  # type: ignore[return-value]
+        return monitor.step(action)
     finally:
         monitor.env = env
 

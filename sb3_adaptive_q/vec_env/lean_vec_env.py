@@ -28,7 +28,7 @@ class LeanVecEnv(DummyVecEnv):
         self._steps = [layered_step(env) for env in self.envs]
         self._scalar_actions = isinstance(self.action_space, spaces.Discrete)
         #: The buffer of observations, where these are not a dict or a tuple of arrays
-        self._only_array = self.buf_obs.get(None)
+        self._only_array: np.ndarray | None = self.buf_obs.get(None)  # type: ignore[call-overload]
 
     def step_wait(self) -> VecEnvStepReturn:
         # A plain int indexes a transition table twice as fast as a NumPy scalar does
