@@ -4,6 +4,7 @@ import importlib
 import inspect
 from collections.abc import Callable
 from functools import cached_property
+from math import isfinite
 from typing import Any
 
 from sb3_adaptive_q.compilation import FunctionSet
@@ -88,6 +89,9 @@ class InstalledRate:
                 f"but got ({', '.join(self.parameters)})."
             )
         self.parameters = {name: float(self.parameters[name]) for name in expected}
+        for name, value in self.parameters.items():
+            if not isfinite(value):
+                raise ValueError(f"`{name}` must be a finite number, but got {value}.")
 
 
 def check_rate(name: str, value: float) -> None:

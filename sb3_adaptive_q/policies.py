@@ -1,5 +1,6 @@
 """The table as an SB3 policy."""
 
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,7 @@ def _check_memory(n_states: int, n_actions: int) -> None:
     needed, free = 8 * n_states * n_actions, psutil.virtual_memory().available
     if needed > free:
         raise MemoryError(
-            f"A table of {n_states} states and {n_actions} actions takes {needed / 2**30:.1f} GiB, but "
+            f"A table of {n_states} states and {n_actions} actions takes {Decimal(needed) / 2**30:.1f} GiB, but "
             f"{free / 2**30:.1f} GiB of memory are free: use fewer cells, or fewer components of the observation."
         )
 
