@@ -194,7 +194,7 @@ def method(number: int, **parameters: Any) -> LearningRateCallback:
     :return: the callback, to be handed to ``learn``
     :raises ValueError: if there is no such method, or it has no such parameter
     """
-    if isinstance(number, bool) or number not in METHODS:
+    if type(number) is not int or number not in METHODS:
         raise ValueError(f"There are methods 1 to 8, but got {number!r}: see `sb3_adaptive_q.METHODS`.")
     make = METHODS[number].callback
     known = _argument_names(make)

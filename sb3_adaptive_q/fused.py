@@ -12,7 +12,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from sb3_adaptive_q import kernels
 from sb3_adaptive_q.compilation import FunctionSet, compile_cached, helpers_of, source_digest
-from sb3_adaptive_q.vec_env.dynamics import SOUND
+from sb3_adaptive_q.vec_env.dynamics import RATE_OUT_OF_RANGE, SOUND
 
 INLINED: Any = {"forceinline": True}
 
@@ -371,6 +371,8 @@ def _stretch(
             if not is_single:
                 store_lane(lanes, i, lane)
         step += 1
+        if not 0.0 <= counters.mu <= 1.0:
+            flaw = RATE_OUT_OF_RANGE
         if step == max_steps or n_ended >= max_episodes or flaw != SOUND:
             break
         counters = tick(learner, counters, n_envs)

@@ -10,7 +10,7 @@ from sb3_adaptive_q import fused, kernels
 from sb3_adaptive_q.rollouts import Episodes, StepRollout
 from sb3_adaptive_q.stretches import episodes_until_due, skip_steps, steps_until_due
 from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
-from sb3_adaptive_q.vec_env.dynamics import REWARD_NOT_FINITE, STATE_OUT_OF_RANGE
+from sb3_adaptive_q.vec_env.dynamics import RATE_OUT_OF_RANGE, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE
 
 if TYPE_CHECKING:
     from sb3_adaptive_q.tabular_q import TabularQ
@@ -109,6 +109,8 @@ class FusedRollout(StepRollout):
         if flaw == REWARD_NOT_FINITE:
             i = int(np.argmin(np.isfinite(lanes.rewards)))
             self._refuse_reward(i, float(lanes.rewards[i]))
+        if flaw == RATE_OUT_OF_RANGE:
+            model._refuse_rate(model.mu)
         if flaw == STATE_OUT_OF_RANGE:
             raise ValueError(
                 f"`index` of {self.dynamics.name} must give rows 0 to {len(model.q_table) - 1}, but at step "

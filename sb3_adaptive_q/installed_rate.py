@@ -5,6 +5,7 @@ import inspect
 from collections.abc import Callable
 from functools import cached_property
 from math import isfinite
+from numbers import Real
 from typing import Any
 
 from sb3_adaptive_q.compilation import FunctionSet
@@ -91,14 +92,14 @@ class InstalledRate:
         self.parameters = {name: float(self.parameters[name]) for name in expected}
         for name, value in self.parameters.items():
             if not isfinite(value):
-                raise ValueError(f"`{name}` must be a finite number, but got {value}.")
+                raise ValueError(f"`{name}` must be finite, but got {value}.")
 
 
-def check_rate(name: str, value: float) -> None:
+def check_rate(name: str, value: Any) -> None:
     """
     :param name: what the value is called
     :param value: a step size
     :raises ValueError: if it is not from 0 to 1
     """
-    if not 0.0 <= value <= 1.0:
+    if not isinstance(value, Real) or not 0.0 <= float(value) <= 1.0:
         raise ValueError(f"`{name}` must be from 0 to 1, but got {value}.")

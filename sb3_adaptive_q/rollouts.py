@@ -85,6 +85,8 @@ class StepRollout:
             )  # fmt: skip
             model._statistics = kernels.record_update(model._statistics, mu, td_error)
             mu = next_mu
+            if not 0.0 <= mu <= 1.0:
+                model._refuse_rate(mu)
             self.states[i] = transition[-1]
         model._mu[0] = mu
         model.exploration_rate, self.progress, model._episode_num = epsilon, progress, n_episodes

@@ -4,7 +4,7 @@ import sys
 import time
 import warnings
 from math import inf
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
 import torch as th
@@ -136,7 +136,7 @@ class TabularQ(BaseAlgorithm):
         self._rule_arguments: tuple[float, ...] = ()
         self._next_actions: list[int] | None = None
         if self._rate_data is not None:
-            self._use_rate(InstalledRate(**self._rate_data))
+            self._restore_rate(InstalledRate(**self._rate_data))
         elif self.method is not None:
             self.install_rate(make_method(self.method, **(self.method_kwargs or {})).rate, restart=True)
 
@@ -146,10 +146,14 @@ class TabularQ(BaseAlgorithm):
                 f"The file has format version {self.format_version}, and this version of sb3_adaptive_q reads up to "
                 f"{FORMAT_VERSION}: please update the package."
             )
+        self.format_version = FORMAT_VERSION
         for name in ("gamma", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps"):
             check_rate(name, getattr(self, name))
-        if not callable(self.learning_rate):
-            check_rate("learning_rate", self.learning_rate)
+        check_rate("learning_rate", self.learning_rate(1.0) if callable(self.learning_rate) else self.learning_rate)
+        if self.method is None and self.method_kwargs:
+            raise ValueError(
+                f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
+            )
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and value < 1:
@@ -185,19 +189,30 @@ class TabularQ(BaseAlgorithm):
         :param restart: whether μ starts again from the method's ``mu_0`` even where the same method is in force already
         :raises ValueError: if the method resets μ with every episode and there are several environments
         """
-        if rate.reset_each_episode and self.n_envs > 1:
+        starts = restart or rate.as_data() != self._rate_data
+        self._use_rate(rate)
+        if starts:
+            self._mu[0] = rate.start()
+
+    def _restore_rate(self, rate: InstalledRate) -> None:
+        try:
+            self._use_rate(rate)
+        except (ImportError, AttributeError):
+            warnings.warn(
+                f"The class of the learning-rate method in force, {rate.owner}, cannot be imported: until its callback is "
+                "given to `learn`, or another method, the model learns with its `learning_rate`.",
+                stacklevel=4,
+            )
+
+    def _use_rate(self, rate: InstalledRate) -> None:
+        if rate.reset_each_episode and getattr(self, "n_envs", 1) > 1:
             raise ValueError(
                 f"`reset_each_episode` needs a single environment, but got {self.n_envs}: they share one μ, and their "
                 "episodes begin at different times."
             )
-        if restart or rate.as_data() != self._rate_data:
-            self._mu[0] = rate.start()
-        self._use_rate(rate)
-
-    def _use_rate(self, rate: InstalledRate) -> None:
+        self._rule, self._rule_arguments = rate.rule, rate.arguments
         self._rate_data = rate.as_data()
         self._rate = rate
-        self._rule, self._rule_arguments = rate.rule, rate.arguments
 
     def learn(
         self: SelfTabularQ,
@@ -226,6 +241,7 @@ class TabularQ(BaseAlgorithm):
         total_timesteps, callback = self._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
+        self._start_rate(reset_num_timesteps)
         callback.on_training_start(locals(), globals())
         rollout = self._begin_rollout(callback, reset_num_timesteps)
         while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
@@ -247,12 +263,9 @@ class TabularQ(BaseAlgorithm):
     def _begin_rollout(self, callback: BaseCallback, restart: bool) -> StepRollout:
         if restart:
             self._next_actions = None
-        self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         self._last_dump = self._episode_num
         self._statistics = NO_UPDATES
-        rollout = self._make_rollout(callback)
-        self._start_rate(1.0 - rollout.progress, restart)
-        return rollout
+        return self._make_rollout(callback)
 
     def _make_rollout(self, callback: BaseCallback) -> StepRollout:
         if not isinstance(self.env, CompiledVecEnv):
@@ -278,18 +291,30 @@ class TabularQ(BaseAlgorithm):
             mu_0=rate.start() if rate else 0.0,
         )
 
-    def _start_rate(self, progress_remaining: float, restart: bool) -> None:
-        if self._rate is None:
-            self.mu = self.lr_schedule(progress_remaining)
+    def _refuse_rate(self, rate: float) -> NoReturn:
+        raise ValueError(f"The rule of {self._rule.name} must give step sizes from 0 to 1, but gave {rate}: please check it.")
+
+    def _start_rate(self, restart: bool) -> None:
+        """Before any callback is called, so that one may set another μ when training starts."""
+        self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
+        if self._rate is not None:
+            self.mu = self._rate.start() if restart else self.mu
+        elif restart or self._rate_data is None:  # otherwise a method is in force, but out of reach
+            progress = kernels.progress_made(self._make_learner(), self.num_timesteps, self._episode_num)
+            self.mu = self.lr_schedule(1.0 - progress)
             self._rule = self._schedule_rule()
-        elif restart:
-            self.mu = self._rate.start()
 
     def _schedule_rule(self) -> FunctionSet:
         schedule = self.lr_schedule
         if isinstance(schedule.value_schedule, ConstantSchedule):  # type: ignore[attr-defined]
             return HOLD
-        return FunctionSet("learning_rate", function=lambda mu, transition: schedule(1.0 - transition.progress))
+
+        def schedule_rate(mu: float, transition: rules.Transition) -> float:
+            rate = schedule(1.0 - transition.progress)
+            check_rate("learning_rate", rate)
+            return rate
+
+        return FunctionSet("learning_rate", function=schedule_rate)
 
     def dump_logs(self) -> None:
         """Write the means over the last episodes, and over the updates since the last time, to the log."""
@@ -359,6 +384,23 @@ class TabularQ(BaseAlgorithm):
         learning, predicting = np.random.SeedSequence(seed).spawn(2)
         self._generator = np.random.default_rng(learning)
         self._predict_generator = np.random.default_rng(predicting)
+
+    @classmethod
+    def load(cls: type[SelfTabularQ], *args: Any, **kwargs: Any) -> SelfTabularQ:
+        """
+        Load a model, as :meth:`stable_baselines3.common.base_class.BaseAlgorithm.load` does. A ``method`` or a
+        ``learning_rate`` among the keyword arguments replaces the method that was in force when the model was saved.
+
+        :param args: as in SB3
+        :param kwargs: as in SB3
+        :return: the model
+        :raises ValueError: if the environment has other spaces, or an argument lies outside its range
+        """
+        if kwargs.keys() & {"method", "method_kwargs"}:
+            kwargs = {"_rate_data": None, **kwargs}
+        elif "learning_rate" in kwargs:
+            kwargs = {"_rate_data": None, "method": None, "method_kwargs": None, **kwargs}
+        return super().load(*args, **kwargs)
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         super().set_env(env, force_reset)

@@ -17,7 +17,7 @@ from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from sb3_adaptive_q.callbacks import METHODS
 from sb3_adaptive_q.tabular_q import TabularQ
@@ -149,12 +149,6 @@ class TabularQExperiment(ExperimentManager):
         results = super().setup_experiment()
         self.ours.started = True
         return results
-
-    def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
-        # The method is what the command line and the YAML file say, not what was in force when the model was saved
-        if self.algo == ALGORITHM:
-            hyperparams["_rate_data"] = None
-        return super()._load_pretrained_agent(hyperparams, env)
 
     def save_trained_model(self, model: BaseAlgorithm) -> None:
         """

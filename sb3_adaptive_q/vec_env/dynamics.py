@@ -15,7 +15,7 @@ _registered: dict[type[gym.Env], "type[Dynamics]"] = {}
 
 
 #: What may be wrong with a transition, so that it must not reach the table
-SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE = range(3)
+SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE, RATE_OUT_OF_RANGE = range(4)
 
 
 def find_flaw(next_index, start_index, reward, n_states):

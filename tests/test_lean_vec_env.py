@@ -1,0 +1,343 @@
+"""LeanVecEnv beside SB3's DummyVecEnv: the same values at every step, and nothing handed out changes afterwards."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from helpers.environments import Episode, RenumberAction, SampledEnv, ScriptedEnv, Step
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor, load_results
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+
+from sb3_adaptive_q import LeanVecEnv
+from wrappers import DiscretizeObservation
+
+DICT_SPACE = spaces.Dict({"place": spaces.Box(-1.0, 1.0, (2, 3)), "number": spaces.Discrete(4), "bits": spaces.MultiBinary(3)})
+
+ENVIRONMENTS = {
+    "FrozenLake": lambda: gym.make("FrozenLake-v1"),
+    "Taxi": lambda: gym.make("Taxi-v4", max_episode_steps=30),
+    "CliffWalking": lambda: gym.make("CliffWalking-v1", max_episode_steps=40),
+    "CartPole": lambda: gym.make("CartPole-v1"),
+    "discretised CartPole": lambda: DiscretizeObservation(
+        gym.make("CartPole-v1"), 10, [-2.4, -4, -0.2095, -4], [2.4, 4, 0.2095, 4]
+    ),
+    "Pendulum": lambda: gym.make("Pendulum-v1", max_episode_steps=50),
+    "Dict": lambda: SampledEnv(DICT_SPACE, spaces.Discrete(3), time_limit=7),
+    "Tuple": lambda: SampledEnv(spaces.Tuple([spaces.Discrete(3), spaces.Box(0.0, 1.0, (2,))]), spaces.Discrete(3)),
+    "MultiDiscrete": lambda: SampledEnv(spaces.MultiDiscrete([3, 4]), spaces.MultiDiscrete([2, 3])),
+    "MultiBinary": lambda: SampledEnv(spaces.MultiBinary([2, 2]), spaces.MultiBinary(2)),
+    "small integers": lambda: SampledEnv(spaces.Discrete(5, start=2, dtype=np.int32), spaces.Discrete(2)),
+    "first action 3": lambda: RenumberAction(gym.make("FrozenLake-v1"), 3),
+    "images": lambda: SampledEnv(spaces.Box(0, 255, (4, 4, 1), np.uint8), spaces.Discrete(2)),
+}
+
+
+def make_env(name: str) -> gym.Env:
+    return Monitor(ENVIRONMENTS[name]())
+
+
+def assert_same(ours: Any, theirs: Any) -> None:
+    """Equal in kind, dtype, shape and every bit."""
+    assert type(ours) is type(theirs)
+    if isinstance(theirs, dict):
+        assert set(ours) == set(theirs)
+        for key in theirs:
+            assert_same(ours[key], theirs[key])
+    elif isinstance(theirs, list | tuple):
+        assert len(ours) == len(theirs)
+        for our, their in zip(ours, theirs, strict=True):
+            assert_same(our, their)
+    elif isinstance(theirs, np.ndarray | np.generic):
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_array_equal(ours, theirs)
+    else:
+        assert ours == theirs or (ours != ours and theirs != theirs)
+
+
+def without_times(infos: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The infos without the wall-clock time that Monitor notes."""
+    cleaned = [dict(info) for info in infos]
+    for info in cleaned:
+        if "episode" in info:
+            info["episode"] = {key: value for key, value in info["episode"].items() if key != "t"}
+    return cleaned
+
+
+@pytest.fixture
+def pair(request):
+    """Our environment and SB3's, with the same in them."""
+    name, n_envs = request.param
+    environments = [cls([lambda: make_env(name) for _ in range(n_envs)]) for cls in (LeanVecEnv, DummyVecEnv)]
+    yield environments
+    for env in environments:
+        env.close()
+
+
+def step_side_by_side(ours: VecEnv, theirs: VecEnv, n_steps: int) -> None:
+    """Compare all that the two return, from a seeded reset on; at least one episode must end on the way."""
+    assert ours.seed(7) == theirs.seed(7)
+    assert_same(ours.reset(), theirs.reset())
+    assert_same(ours.reset_infos, theirs.reset_infos)
+    theirs.action_space.seed(0)
+    n_ended = 0
+    for _ in range(n_steps):
+        actions = np.array([theirs.action_space.sample() for _ in range(theirs.num_envs)])
+        *our_values, our_infos = ours.step(actions)
+        *their_values, their_infos = theirs.step(actions)
+        assert_same(our_values, their_values)
+        assert_same(without_times(our_infos), without_times(their_infos))
+        assert_same(ours.reset_infos, theirs.reset_infos)
+        n_ended += their_values[2].sum()
+    assert n_ended > 0
+
+
+both = pytest.mark.parametrize(
+    "pair",
+    [(name, n_envs) for name in ENVIRONMENTS for n_envs in (1, 3)],
+    indirect=True,
+    ids=lambda pair: f"{pair[0]}-{pair[1]}",
+)
+
+
+class TestSideBySide:
+    @both
+    def test_every_step(self, pair):
+        ours, theirs = pair
+        assert (ours.num_envs, ours.observation_space, ours.action_space) == (
+            theirs.num_envs,
+            theirs.observation_space,
+            theirs.action_space,
+        )
+        step_side_by_side(ours, theirs, 120)
+
+    @both
+    def test_seeds_make_a_repetition(self, pair):
+        for env in pair:
+            first, second = [(env.seed(3), env.reset())[1] for _ in range(2)]
+            assert_same(first, second)
+
+    def test_options_reach_the_environment(self):
+        given = []
+
+        class Noting(ScriptedEnv):
+            def reset(self, *, seed=None, options=None):
+                given.append((seed, options))
+                return super().reset(seed=seed)
+
+        env = LeanVecEnv([lambda: Noting([Episode(0, [Step(0.0, 0)])])])
+        env.seed(5)
+        env.set_options({"where": 1})
+        env.reset()
+        env.reset()
+        assert given == [(5, {"where": 1}), (None, None)]
+
+
+class Halved(gym.RewardWrapper):
+    """A wrapper of a user."""
+
+    def reward(self, reward):
+        return 0.5 * float(reward)
+
+
+class Fined(gym.wrappers.TimeLimit):
+    """A user's own kind of time limit, with a fine for reaching it."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, float(reward) - 10.0 * truncated, terminated, truncated, info
+
+
+class Doubled(Monitor):
+    """A user's own kind of Monitor, which shows twice the reward."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, 2.0 * float(reward), terminated, truncated, info
+
+
+def cart_pole(**arguments):
+    return gym.make("CartPole-v1", **arguments)
+
+
+def discretised(env):
+    return DiscretizeObservation(env, 6, [-2.4, -4, -0.2095, -4], [2.4, 4, 0.2095, 4])
+
+
+ARRANGEMENTS = {
+    "nothing around it": lambda: SampledEnv(spaces.Discrete(3), spaces.Discrete(2)),
+    "no checks": lambda: Monitor(cart_pole(disable_env_checker=True)),
+    "no Monitor": cart_pole,
+    "no limit": lambda: Monitor(gym.make("CartPole-v1").unwrapped),
+    "limit outside the Monitor": lambda: gym.wrappers.TimeLimit(Monitor(cart_pole()), 9),
+    "limit within a limit": lambda: Monitor(gym.wrappers.TimeLimit(cart_pole(), 9)),
+    "Monitor within a Monitor": lambda: Monitor(Monitor(cart_pole())),
+    "Monitor in the discretisation": lambda: discretised(Monitor(cart_pole())),
+    "discretisation in the Monitor": lambda: Monitor(discretised(cart_pole())),
+    "limit around the discretisation": lambda: Monitor(gym.wrappers.TimeLimit(discretised(cart_pole().unwrapped), 9)),
+    "discretisation around the limit": lambda: Monitor(discretised(gym.wrappers.TimeLimit(cart_pole().unwrapped, 9))),
+    "a user's wrapper outermost": lambda: Halved(Monitor(cart_pole())),
+    "a user's wrapper in the Monitor": lambda: Monitor(Halved(cart_pole())),
+    "a user's wrapper innermost": lambda: Monitor(gym.wrappers.TimeLimit(Halved(cart_pole().unwrapped), 9)),
+    "a user's time limit": lambda: Monitor(Fined(cart_pole().unwrapped, 5)),
+    "a user's Monitor": lambda: Doubled(cart_pole()),
+    "gymnasium's statistics": lambda: Monitor(gym.wrappers.TransformReward(cart_pole(), lambda reward: reward - 0.25)),
+    "frames skipped": lambda: Monitor(gym.wrappers.MaxAndSkipObservation(cart_pole(), 2)),
+    "Monitor with keywords": lambda: Monitor(gym.make("FrozenLake-v1"), info_keywords=("prob",)),
+}
+
+
+class TestWrappers:
+    @pytest.mark.parametrize("name", ARRANGEMENTS)
+    def test_any_arrangement_of_them(self, name):
+        ours, theirs = (cls([ARRANGEMENTS[name], ARRANGEMENTS[name]]) for cls in (LeanVecEnv, DummyVecEnv))
+        step_side_by_side(ours, theirs, 150)
+        for our, their in zip(ours.envs, theirs.envs, strict=True):
+            if isinstance(their, Monitor):
+                assert our.get_episode_rewards() == their.get_episode_rewards()
+                assert our.get_episode_lengths() == their.get_episode_lengths()
+                assert our.get_total_steps() == their.get_total_steps() == 150
+                assert our.rewards == their.rewards
+
+    def test_the_monitors_file_is_written(self, tmp_path):
+        tables = []
+        for cls in (LeanVecEnv, DummyVecEnv):
+            folder = tmp_path / cls.__name__
+            env = make_vec_env("FrozenLake-v1", n_envs=2, monitor_dir=str(folder), vec_env_cls=cls)
+            env.seed(0)
+            env.reset()
+            for step in range(200):
+                env.step(np.array([step % 4, step % 3]))
+            env.close()
+            tables.append(load_results(str(folder))[["r", "l", "index"]].sort_values(["index", "l"]).to_numpy())
+        assert len(tables[0]) > 10
+        assert sorted(map(tuple, tables[0].tolist())) == sorted(map(tuple, tables[1].tolist()))
+
+    def test_a_step_limit_that_is_changed_afterwards(self):
+        """Old scripts write into the wrapper to change it."""
+        ours, theirs = (cls([lambda: Monitor(gym.make("Taxi-v4"))]) for cls in (LeanVecEnv, DummyVecEnv))
+        for env in (ours, theirs):
+            env.envs[0].env._max_episode_steps = 11
+        step_side_by_side(ours, theirs, 40)
+
+    def test_a_step_before_the_first_reset_is_refused(self):
+        env = LeanVecEnv([lambda: gym.make("FrozenLake-v1")])
+        for _ in range(2):
+            with pytest.raises(gym.error.ResetNeeded):
+                env.step(np.array([0]))
+
+
+class TestEndOfAnEpisode:
+    @pytest.mark.parametrize("end", ["terminated", "truncated"])
+    def test_infos_tell_how_it_ended_and_where(self, end):
+        env = LeanVecEnv([lambda: ScriptedEnv([Episode(1, [Step(0.0, 2), Step(3.0, 3, end)])])])
+        assert env.reset().tolist() == [1]
+        _, _, dones, (info,) = env.step(np.array([0]))
+        assert (dones.tolist(), info) == ([False], {"TimeLimit.truncated": False})
+        observations, rewards, dones, (info,) = env.step(np.array([1]))
+        assert (observations.tolist(), rewards.tolist(), dones.tolist()) == ([1], [3.0], [True])
+        assert info == {"terminal_observation": 3, "TimeLimit.truncated": end == "truncated"}
+
+    def test_terminated_and_truncated_at_once_is_terminated(self):
+        class Both(ScriptedEnv):
+            def step(self, action):
+                state, reward, *_, info = super().step(action)
+                return state, reward, True, True, info
+
+        env = LeanVecEnv([lambda: Both([Episode(0, [Step(0.0, 1)])])])
+        env.reset()
+        (info,) = env.step(np.array([0]))[3]
+        assert info["TimeLimit.truncated"] is False
+
+
+class TestWhatWasHandedOut:
+    @both
+    def test_later_steps_leave_it_alone(self, pair):
+        env = pair[0]
+        env.seed(0)
+        handed_out, copies = [], []
+
+        def copy(value):
+            if isinstance(value, dict):
+                return {key: copy(item) for key, item in value.items()}
+            if isinstance(value, tuple):
+                return tuple(copy(item) for item in value)
+            return np.array(value)
+
+        def keep(*values):
+            handed_out.append(values)
+            copies.append(copy(values))
+
+        keep(env.reset())
+        env.action_space.seed(0)
+        for _ in range(40):
+            observations, rewards, dones, _ = env.step(np.array([env.action_space.sample() for _ in range(env.num_envs)]))
+            keep(observations, rewards, dones)
+        keep(env.reset())
+        for kept, copied in zip(handed_out, copies, strict=True):
+            assert_same(copy(kept), copied)
+
+    def test_an_environment_that_reuses_its_observation(self):
+        """A buffer that the environment writes into again must not show through."""
+
+        class Reusing(gym.Env):
+            observation_space = spaces.Box(-np.inf, np.inf, (2,))
+            action_space = spaces.Discrete(2)
+
+            def reset(self, *, seed=None, options=None):
+                super().reset(seed=seed)
+                self.buffer = np.zeros(2, np.float32)
+                return self.buffer, {}
+
+            def step(self, action):
+                self.buffer += 1.0
+                return self.buffer, 0.0, False, False, {}
+
+        env = LeanVecEnv([Reusing, Reusing])
+        observations = [env.reset()] + [env.step(np.array([0, 1]))[0] for _ in range(3)]
+        assert [observation.tolist() for observation in observations] == [[[n, n], [n, n]] for n in (0.0, 1.0, 2.0, 3.0)]
+
+    def test_infos_of_one_environment_are_its_own(self):
+        env = LeanVecEnv([lambda: ScriptedEnv([Episode(0, [Step(0.0, 1, "truncated")])]) for _ in range(2)])
+        env.reset()
+        first, second = env.step(np.array([0, 0]))[3]
+        first["mark"] = 1
+        assert "mark" not in second
+
+
+class TestAsAVecEnv:
+    def test_make_vec_env_and_wrappers_take_it(self):
+        env = make_vec_env("FrozenLake-v1", n_envs=2, seed=0, vec_env_cls=LeanVecEnv)
+        assert type(env) is LeanVecEnv
+        env.reset()
+        assert env.step(np.array([0, 1]))[1].shape == (2,)
+        assert env.get_attr("spec")[0].id == "FrozenLake-v1"
+        assert env.env_is_wrapped(Monitor) == [True, True]
+        assert len(env.env_method("get_wrapper_attr", "P")) == 2
+        env.close()
+        env = VecMonitor(LeanVecEnv([lambda: ScriptedEnv([Episode(0, [Step(2.0, 1, "terminated")])])]))
+        env.reset()
+        assert env.step(np.array([0]))[3][0]["episode"]["r"] == 2.0
+
+    def test_rendering(self):
+        env = make_vec_env("FrozenLake-v1", env_kwargs={"render_mode": "rgb_array"}, vec_env_cls=LeanVecEnv)
+        env.reset()
+        assert env.render().ndim == 3
+        env.close()
+
+    def test_an_environment_is_not_used_twice(self):
+        env = gym.make("FrozenLake-v1")
+        with pytest.raises(ValueError, match="same instance"):
+            LeanVecEnv([lambda: env, lambda: env])
+
+    def test_lists_of_actions_will_do(self):
+        env = LeanVecEnv([lambda: ScriptedEnv([Episode(0, [Step(1.0, 1)])])])
+        env.reset()
+        assert env.step([1])[0].tolist() == [1]
+
+    def test_helper_environments_keep_the_rules_of_gymnasium(self):
+        """What these tests lean on is sound."""
+        check_env(ScriptedEnv([Episode(0, [Step(1.0, 1)] * 100)]), warn=False)
