@@ -68,7 +68,16 @@ class ConstantRateCallback(LearningRateCallback):
         super().__init__(beta=beta)
 
 
-class LinearDecayCallback(LearningRateCallback):
+class _LinearRateCallback(LearningRateCallback):
+    """What Methods 3 and 4 have in common: from one end of [β1, β1 + β3] to the other."""
+
+    def __init__(self, beta_1: float = 0.01, beta_3: float = 0.04) -> None:
+        check_rate("beta_1", beta_1)
+        check_rate("beta_1 + beta_3", beta_1 + beta_3)
+        super().__init__(beta_1=beta_1, beta_3=beta_3)
+
+
+class LinearDecayCallback(_LinearRateCallback):
     """
     Method 3 (Eq. 5): μ falls from β1 + β3 to β1 in the course of the training.
 
@@ -79,13 +88,8 @@ class LinearDecayCallback(LearningRateCallback):
 
     rule = staticmethod(rules.linear_decay_rate)
 
-    def __init__(self, beta_1: float = 0.01, beta_3: float = 0.04) -> None:
-        check_rate("beta_1", beta_1)
-        check_rate("beta_1 + beta_3", beta_1 + beta_3)
-        super().__init__(beta_1=beta_1, beta_3=beta_3)
 
-
-class LinearGrowthCallback(LearningRateCallback):
+class LinearGrowthCallback(_LinearRateCallback):
     """
     Method 4 (Eq. 6): μ grows from β1 to β1 + β3 in the course of the training.
 
@@ -95,11 +99,6 @@ class LinearGrowthCallback(LearningRateCallback):
     """
 
     rule = staticmethod(rules.linear_growth_rate)
-
-    def __init__(self, beta_1: float = 0.01, beta_3: float = 0.04) -> None:
-        check_rate("beta_1", beta_1)
-        check_rate("beta_1 + beta_3", beta_1 + beta_3)
-        super().__init__(beta_1=beta_1, beta_3=beta_3)
 
 
 class ProportionalRateCallback(LearningRateCallback):
