@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from numbers import Integral
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -193,7 +194,7 @@ def method(number: int, **parameters: Any) -> LearningRateCallback:
     :return: the callback, to be handed to ``learn``
     :raises ValueError: if there is no such method, or it has no such parameter
     """
-    if type(number) is not int or number not in METHODS:
+    if not _is_method_number(number):
         raise ValueError(f"There are methods 1 to 8, but got {number!r}: see `sb3_adaptive_q.METHODS`.")
     make = METHODS[number].callback
     known = _argument_names(make)
@@ -256,6 +257,10 @@ def check_one_method(callback: Any) -> None:
     found = [type(each).__name__ for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
     if len(found) > 1:
         raise ValueError(f"One learning-rate method can be in force at a time, but got {', '.join(found)}: pass one of them.")
+
+
+def _is_method_number(number: Any) -> bool:
+    return isinstance(number, Integral) and not isinstance(number, bool) and number in METHODS
 
 
 def _check_bounds(lower: float, upper: float) -> None:

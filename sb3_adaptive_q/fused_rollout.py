@@ -60,6 +60,7 @@ class FusedRollout(StepRollout):
             twin.put(state, int(lanes.lengths[i]), float(lanes.returns[i]), n_steps)
         self.dones = lanes.dones.tolist()
         self.infos = self._last_infos()
+        self._hand_over_episodes()
         self.transitions = list(
             zip(
                 lanes.rewards.tolist(), lanes.next_indices.tolist(), lanes.terminated.tolist(), self.dones,
@@ -127,23 +128,25 @@ class FusedRollout(StepRollout):
                 info["terminal_observation"] = self.state_index.observations(self.lanes.next_indices[i : i + 1])[0]
             infos.append(info)
         # The last step's episodes are the last on the record
-        for i, episode in self._episode_infos(sum(self.dones)):
+        for i, episode in self._episode_infos(self.n_ended - sum(self.dones), self.n_ended):
             infos[i]["episode"] = episode
         return infos
 
-    def _note_episodes(self) -> None:
+    def _hand_over_episodes(self) -> None:
+        """Write the Monitors' files; give the log what ended before the last step, whose own follow the callbacks."""
         assert self.model.ep_info_buffer is not None
-        self.model.ep_info_buffer.extend(episode for _, episode in self._episode_infos(self.model._stats_window_size))
+        earlier = self.n_ended - sum(self.dones)
+        episodes = self._episode_infos(max(earlier - self.model._stats_window_size, 0), earlier)
+        self.model.ep_info_buffer.extend(episode for _, episode in episodes)
         record, end = self.record, self.n_ended
         for i, twin in enumerate(self.twins):
             if twin.writes_file:
                 mine = record.lanes[:end] == i
                 twin.write_monitor_rows(record.returns[:end][mine], record.lengths[:end][mine])
 
-    def _episode_infos(self, most: int) -> list[tuple[int, dict[str, Any]]]:
-        """The last episodes of the stretch, with the number of the environment, as the Monitors would have them."""
-        last = slice(max(self.n_ended - most, 0), self.n_ended)
-        columns = (self.record.lanes[last], self.record.returns[last], self.record.lengths[last])
+    def _episode_infos(self, start: int, stop: int) -> list[tuple[int, dict[str, Any]]]:
+        """Some of the stretch's episodes, with the number of the environment, as the Monitors would have them."""
+        columns = (self.record.lanes[start:stop], self.record.returns[start:stop], self.record.lengths[start:stop])
         times = [twin.seconds for twin in self.twins]
         return [
             (i, {"r": round(episode_return, 6), "l": length, "t": seconds})

@@ -238,31 +238,36 @@ class TabularQ(BaseAlgorithm):
         check_one_method(callback)
         if log_interval is not None and log_interval < 1:
             raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
+        if reset_num_timesteps or self._last_obs is None:
+            self._next_actions = None
         total_timesteps, callback = self._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         self._start_rate(reset_num_timesteps)
         callback.on_training_start(locals(), globals())
-        rollout = self._begin_rollout(callback, reset_num_timesteps)
-        while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
-            callback.on_rollout_start()
-            actions, new_obs, rewards, dones, infos = rollout.advance()
-            self._last_obs = new_obs
-            callback.update_locals(locals())
-            if not callback.on_step():
-                rollout.abandon()
-                break
-            rollout.learn()
-            self._current_progress_remaining = 1.0 - rollout.progress
-            if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
-                self.dump_logs()
-            callback.on_rollout_end()
+        rollout = self._begin_rollout(callback)
+        try:
+            while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
+                callback.on_rollout_start()
+                actions, new_obs, rewards, dones, infos = rollout.advance()
+                callback.update_locals(locals())
+                if not callback.on_step():
+                    rollout.abandon()
+                    self._last_obs = new_obs
+                    break
+                rollout.learn()
+                self._last_obs = new_obs
+                self._current_progress_remaining = 1.0 - rollout.progress
+                if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
+                    self.dump_logs()
+                callback.on_rollout_end()
+        except BaseException:
+            self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
+            raise
         callback.on_training_end()
         return self
 
-    def _begin_rollout(self, callback: BaseCallback, restart: bool) -> StepRollout:
-        if restart:
-            self._next_actions = None
+    def _begin_rollout(self, callback: BaseCallback) -> StepRollout:
         self._last_dump = self._episode_num
         self._statistics = NO_UPDATES
         return self._make_rollout(callback)
@@ -396,7 +401,9 @@ class TabularQ(BaseAlgorithm):
         :return: the model
         :raises ValueError: if the environment has other spaces, or an argument lies outside its range
         """
-        if kwargs.keys() & {"method", "method_kwargs"}:
+        if "method" in kwargs:
+            kwargs = {"_rate_data": None, "method_kwargs": None, **kwargs}
+        elif "method_kwargs" in kwargs:
             kwargs = {"_rate_data": None, **kwargs}
         elif "learning_rate" in kwargs:
             kwargs = {"_rate_data": None, "method": None, "method_kwargs": None, **kwargs}
@@ -428,7 +435,8 @@ class TabularQ(BaseAlgorithm):
 
     def _excluded_save_params(self) -> list[str]:
         derived = ["_table", "_mu", "_generator", "_predict_generator", "_rule", "_rule_arguments", "_rate", "lr_schedule"]
-        return [*super()._excluded_save_params(), *derived]
+        of_one_training = ["_next_actions", "_statistics", "_last_dump", "_total_episodes"]
+        return [*super()._excluded_save_params(), *derived, *of_one_training]
 
 
 def _cpu(device: th.device | str) -> th.device | str:

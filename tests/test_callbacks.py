@@ -490,3 +490,30 @@ class TestRulesOfAUser:
     def test_only_one_of_them(self):
         with pytest.raises(ValueError, match="but got Halving, SignRateCallback"):
             greedy_on_script().learn(10, callback=[Halving(mu_0=1.0, least=0.0), method(7)])
+
+
+class TestInterruption:
+    """What an error in the middle of a step leaves behind: the environment has moved, the agent has not learned."""
+
+    def test_learning_goes_on_with_a_reset(self):
+        class Interrupt(BaseCallback):
+            def _on_step(self):
+                if self.n_calls == 3:
+                    raise KeyboardInterrupt
+                return True
+
+        model = TabularQ("MlpPolicy", "CliffWalkingLimited-v1", seed=0, initial_q=-1000.0, learning_rate=1.0, gamma=0.0)
+        with pytest.raises(KeyboardInterrupt):
+            model.learn(10, callback=Interrupt())
+        seen = []
+
+        class Record(BaseCallback):
+            def _on_step(self):
+                seen.append(int(self.locals["actions"][0]))
+                return True
+
+        before = model.q_table.copy()
+        model.learn(1, callback=Record(), reset_num_timesteps=False)
+        changed = np.argwhere(model.q_table != before)
+        assert [tuple(entry) for entry in changed.tolist()] in ([], [(36, seen[0])])  # 36 is where every episode begins
+        assert model.env.envs[0].unwrapped.lastaction == seen[0]

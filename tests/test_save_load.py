@@ -199,6 +199,15 @@ class TestLoad:
         loaded.learn(4, callback=recorder)
         assert recorder.rates == [0.75, 0.625, 0.5, 0.375, 0.25]
 
+    @pytest.mark.parametrize(("asked_for", "rate"), [({"method": 2}, 0.05), ({"method": None}, 0.25)], ids=str)
+    def test_parameters_of_the_saved_method_do_not_outlive_it(self, tmp_path, asked_for, rate):
+        """They would not be the other method's; without any method, the learning rate is in force."""
+        model = greedy_on_script(method=7, method_kwargs={"step": 0.001}, learning_rate=0.25)
+        model.learn(5).save(tmp_path / "model")
+        recorder = Recorder()
+        TabularQ.load(tmp_path / "model", env=ScriptedEnv(SCRIPT), **asked_for).learn(3, callback=recorder)
+        assert recorder.rates == [rate] * 4
+
     def test_the_view_is_live_after_loading(self, tmp_path):
         model = greedy_on_script(learning_rate=0.5, gamma=0.0).learn(2)
         model.save(tmp_path / "model")

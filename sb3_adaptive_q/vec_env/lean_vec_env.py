@@ -1,6 +1,7 @@
 """SB3's DummyVecEnv without its deep copies."""
 
 from collections.abc import Callable
+from copy import deepcopy
 
 import gymnasium as gym
 import numpy as np
@@ -39,7 +40,7 @@ class LeanVecEnv(DummyVecEnv):
             dones[i] = done = terminated or truncated
             info["TimeLimit.truncated"] = truncated and not terminated
             if done:
-                info["terminal_observation"] = observation
+                info["terminal_observation"] = deepcopy(observation)
                 observation, self.reset_infos[i] = self.envs[i].reset()
             self._save_obs(i, observation)
             infos.append(info)
