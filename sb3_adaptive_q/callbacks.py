@@ -260,7 +260,7 @@ def check_one_method(callback: Any) -> None:
 
 
 def _is_method_number(number: Any) -> bool:
-    return isinstance(number, Integral) and not isinstance(number, bool) and number in METHODS
+    return isinstance(number, Integral) and type(number) is not bool and number in METHODS
 
 
 def _check_bounds(lower: float, upper: float) -> None:
