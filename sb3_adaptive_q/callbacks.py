@@ -3,7 +3,6 @@
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from numbers import Integral
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -260,7 +259,7 @@ def check_one_method(callback: Any) -> None:
 
 
 def _is_method_number(number: Any) -> bool:
-    return isinstance(number, Integral) and type(number) is not bool and number in METHODS
+    return isinstance(number, int | np.integer) and not isinstance(number, bool) and number in METHODS
 
 
 def _check_bounds(lower: float, upper: float) -> None:
