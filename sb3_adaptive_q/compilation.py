@@ -7,8 +7,11 @@ import hashlib
 import sys
 import types
 from collections.abc import Callable, Iterator
+from enum import Enum
 from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 #: Functions from these packages are Numba's to know, and do not change under us
 _FOREIGN = {*sys.stdlib_module_names, "numpy", "numba"} - {"__main__"}
@@ -76,35 +79,58 @@ def helpers_of(function: Callable[..., Any]) -> list[types.FunctionType]:
 
 
 def _collect(item: Any, found: list[types.FunctionType]) -> None:
-    if isinstance(item, types.FunctionType) and item not in found and item.__module__.partition(".")[0] not in _FOREIGN:
+    item = getattr(item, "py_func", item)
+    if isinstance(item, types.FunctionType) and item not in found and not _is_foreign(item.__module__):
         found.append(item)
         for value in _values_used(item):
             _collect(value, found)
 
 
+def _is_foreign(module_name: str) -> bool:
+    return module_name.partition(".")[0] in _FOREIGN
+
+
 def _parts(functions: tuple[Callable[..., Any], ...]) -> Iterator[Any]:
     """What decides how the functions behave, in an order that is the same in every process."""
     for function in functions:
-        for helper in helpers_of(getattr(function, "py_func", function)):
-            yield helper.__qualname__, helper.__defaults__
-            yield from _parts_of_code(helper.__code__)
-            yield from (value for value in _values_used(helper) if isinstance(value, bool | int | float | str | tuple))
+        yield _constant(function)
+        for helper in helpers_of(function):
+            yield helper.__qualname__, helper.__defaults__, helper.__kwdefaults__
+            for code in _code_of(helper):
+                yield code.co_code, code.co_names, code.co_varnames
+                yield from (constant for constant in code.co_consts if not isinstance(constant, types.CodeType))
+            yield from map(_constant, _values_used(helper))
 
 
-def _parts_of_code(code: types.CodeType) -> Iterator[Any]:
-    yield code.co_code, code.co_names, code.co_varnames
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _parts_of_code(constant)
-        else:
-            yield constant
+def _constant(value: Any) -> Any:
+    """What the compiler freezes of a value that a function uses, with a ``repr`` that tells it from every other."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, tuple):
+        return tuple(map(_constant, value))
+    if isinstance(value, type) and issubclass(value, Enum):
+        return [(member.name, member.value) for member in value]
+    if isinstance(value, bool | int | float | complex | str | np.generic):
+        return value
+    # A function of the user's that is compiled already: fastmath and the like
+    return sorted(getattr(value, "targetoptions", {}).items())
+
+
+def _code_of(function: types.FunctionType) -> list[types.CodeType]:
+    """The code of a function, and of the functions and comprehensions inside it."""
+    found = [function.__code__]
+    for code in found:
+        found += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return found
 
 
 def _values_used(function: types.FunctionType) -> list[Any]:
-    """The globals, closure cells, and attributes of global modules that a function's code names."""
-    names = function.__code__.co_names
-    direct = [function.__globals__[name] for name in names if name in function.__globals__]
-    modules = [value for value in direct if isinstance(value, types.ModuleType)]
-    through_modules = [getattr(module, name) for module in modules for name in names if hasattr(module, name)]
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    return [getattr(value, "py_func", value) for value in (*direct, *through_modules, *cells)]
+    """The globals, closure cells, and attributes of global modules and of packages' modules that a function's code names."""
+    names = [name for code in _code_of(function) for name in code.co_names]
+    values = [function.__globals__[name] for name in names if name in function.__globals__]
+    for value in values:  # grows: a package's module is a value with attributes of its own
+        if isinstance(value, types.ModuleType) and not _is_foreign(value.__name__):
+            attributes = [getattr(value, name) for name in names if hasattr(value, name)]
+            seen = {id(other) for other in values if isinstance(other, types.ModuleType)}  # they may name one another
+            values += [attribute for attribute in attributes if id(attribute) not in seen]
+    return values + [cell.cell_contents for cell in function.__closure__ or ()]

@@ -98,8 +98,9 @@ class FusedRollout(StepRollout):
             )  # fmt: skip
         except NumbaError as error:
             raise ValueError(
-                f"The rule {model._rule.name} or the dynamics {self.dynamics.name} do not compile. LeanVecEnv runs any "
-                f"Python function; what Numba says of this one:\n{error}"
+                f"The rule {model._rule.name} or the dynamics {self.dynamics.name} do not compile. A compiled environment "
+                "takes a constant `learning_rate`, or the rule of a LearningRateCallback in the part of Python that Numba "
+                f"knows; LeanVecEnv runs any Python function. What Numba says:\n{error}"
             ) from error
         model._n_updates += statistics[0] - model._statistics[0]
         model._mu[0], model.exploration_rate, self.progress, model._episode_num, _ = counters

@@ -1,6 +1,7 @@
 """Q-learning with a table, under the interface of Stable-Baselines3."""
 
 import sys
+import threading
 import time
 import warnings
 from math import inf
@@ -33,6 +34,9 @@ SelfTabularQ = TypeVar("SelfTabularQ", bound="TabularQ")
 FORMAT_VERSION = 1
 
 HOLD = FunctionSet("hold", function=rules.hold_rate)
+
+#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
+_SETTING_UP = threading.Lock()
 
 
 class TabularQ(BaseAlgorithm):
@@ -240,9 +244,10 @@ class TabularQ(BaseAlgorithm):
             raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
         if reset_num_timesteps or self._last_obs is None:
             self._next_actions = None
-        total_timesteps, callback = self._setup_learn(
-            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
-        )
+        with _SETTING_UP:
+            total_timesteps, callback = self._setup_learn(
+                total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+            )
         self._start_rate(reset_num_timesteps)
         callback.on_training_start(locals(), globals())
         rollout = self._begin_rollout(callback)

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
 
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback
 from sb3_adaptive_q.study.settings import StudySettings
-from sb3_adaptive_q.study.systems import make_system, wrapping_of
+from sb3_adaptive_q.study.systems import reused_system, wrapping_of
 from sb3_adaptive_q.tabular_q import TabularQ
 
 #: Beyond any number of steps: the number of episodes ends the training
@@ -19,6 +20,26 @@ NO_LIMIT = 2**62
 
 #: Where in a file's metadata the recipe and its digest stand
 RECIPE, DIGEST = b"recipe", b"recipe_digest"
+#: The columns of a cell: what tells it apart and sums it up, and its series and table
+NUMBERS = {
+    "system": pa.string(),
+    "method": pa.int64(),
+    "run": pa.int64(),
+    "seed": pa.int64(),
+    "episodes": pa.int64(),
+    "steps": pa.int64(),
+    "last_return": pa.float64(),
+    "mean_last_100": pa.float64(),
+}
+SERIES = {
+    "returns": pa.list_(pa.float64()),
+    "lengths": pa.list_(pa.int64()),
+    "mu": pa.list_(pa.float64()),
+    "epsilon": pa.list_(pa.float64()),
+    "n_actions": pa.int64(),
+    "q_table": pa.list_(pa.float64()),
+}
+SCHEMA = pa.schema({**NUMBERS, **SERIES})
 #: The episodes over which avg_100 is taken
 WINDOW = 100
 
@@ -92,6 +113,8 @@ def run_cell(recipe: dict[str, Any]) -> bytes:
     model = make_model(recipe)
     series = EpisodeSeriesCallback()
     model.learn(NO_LIMIT, callback=series, log_interval=None)
+    # They hold the model and the callback itself, and would keep both until the garbage collector comes by
+    series.locals.clear()
     return encode(recipe, series, model.q_table)
 
 
@@ -102,7 +125,7 @@ def make_model(recipe: dict[str, Any]) -> TabularQ:
     """
     return TabularQ(
         "MlpPolicy",
-        make_system(recipe["system"], recipe["wrapping"]),
+        reused_system(recipe["system"], recipe["wrapping"]),
         gamma=recipe["gamma"],
         method=recipe["method"],
         method_kwargs=recipe["method_kwargs"],
@@ -124,20 +147,23 @@ def encode(recipe: dict[str, Any], series: EpisodeSeriesCallback, q_table: np.nd
     :param q_table: the table that was learned, of shape (n_states, n_actions)
     :return: the content of the file
     """
-    columns: dict[str, Any] = {name: [recipe[name]] for name in ("system", "method", "run", "seed", "episodes")}
-    columns["steps"] = [int(series.lengths.sum())]
-    columns["last_return"] = [float(series.returns[-1])]
-    columns["mean_last_100"] = [float(series.returns[-WINDOW:].mean())]
-    columns["returns"] = _one_list(series.returns, np.float64)
-    columns["lengths"] = _one_list(series.lengths, np.int64)
-    columns["mu"] = _one_list(series.rates, np.float64)
-    columns["epsilon"] = _one_list(series.epsilons, np.float64)
-    columns["n_actions"] = [q_table.shape[1]]
-    columns["q_table"] = _one_list(q_table.ravel(), np.float64)
+    columns = [
+        _text(recipe["system"]),
+        *(_numbers([recipe[name]], np.int64) for name in ("method", "run", "seed", "episodes")),
+        _numbers([series.lengths.sum()], np.int64),
+        _numbers([series.returns[-1]], np.float64),
+        _numbers([series.returns[-WINDOW:].mean()], np.float64),
+        _list(series.returns, np.float64),
+        _list(series.lengths, np.int64),
+        _list(series.rates, np.float64),
+        _list(series.epsilons, np.float64),
+        _numbers([q_table.shape[1]], np.int64),
+        _list(q_table.ravel(), np.float64),
+    ]
     metadata = {RECIPE: json.dumps(recipe, sort_keys=True).encode(), DIGEST: digest_of(recipe).encode()}
     sink = pa.BufferOutputStream()
     pq.write_table(
-        pa.table(columns).replace_schema_metadata(metadata),
+        pa.Table.from_arrays(columns, schema=SCHEMA.with_metadata(metadata)),
         sink,
         compression="zstd",
         # Long lists of ever new numbers: dictionaries would take three times as long and save nothing
@@ -148,5 +174,19 @@ def encode(recipe: dict[str, Any], series: EpisodeSeriesCallback, q_table: np.nd
     return sink.getvalue().to_pybytes()
 
 
-def _one_list(values: np.ndarray, dtype: type) -> pa.ListArray:
-    return pa.ListArray.from_arrays(pa.array([0, len(values)], pa.int32()), pa.array(np.ascontiguousarray(values, dtype)))
+# By way of buffers: pa.array() would import pandas, for which every worker would pay 55 MiB
+
+
+def _numbers(values: ArrayLike, dtype: type) -> pa.Array:
+    array: np.ndarray = np.ascontiguousarray(values, dtype)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(array.dtype), len(array), [None, pa.py_buffer(array)])
+
+
+def _list(values: np.ndarray, dtype: type) -> pa.Array:
+    return pa.ListArray.from_arrays(_numbers([0, len(values)], np.int32), _numbers(values, dtype))
+
+
+def _text(value: str) -> pa.Array:
+    content = value.encode()
+    offsets = np.array([0, len(content)], np.int32)
+    return pa.StringArray.from_buffers(1, pa.py_buffer(offsets), pa.py_buffer(content))

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import wait
-from typing import NamedTuple
 
 import torch as th
 
@@ -18,7 +18,8 @@ from sb3_adaptive_q.study.errors import StudyError
 CONNECTION_TIMEOUT = 10.0
 
 
-class Workers(NamedTuple):
+@dataclass(frozen=True)
+class Workers:
     """
     :param executor: what takes the cells
     :param count: tells how many cells can run at the same time, which changes as a cluster grows or shrinks
@@ -31,16 +32,13 @@ class Workers(NamedTuple):
 @contextmanager
 def local_workers(count: int | None) -> Iterator[Workers]:
     """
-    Processes of this machine.
-
-    They are spawned rather than forked: a fork would inherit whatever threads PyTorch, Numba and Arrow have started.
+    Processes of this machine, made as the platform makes them by default.
 
     :param count: how many; ``None`` for one for each core that this process may use
     :return: the workers, until the context ends
     """
     number = count or _available_cores()
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(number, mp_context=context, initializer=_begin_worker) as executor:
+    with ProcessPoolExecutor(number, initializer=_begin_worker) as executor:
         yield Workers(executor, lambda: number)
 
 
@@ -76,6 +74,8 @@ def _available_cores() -> int:
 def _begin_worker() -> None:
     # An interrupt from the keyboard reaches every process; the parent lets the cells that are running finish
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # One core each, and no pool of threads that a forked process could inherit half of
     th.set_num_threads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

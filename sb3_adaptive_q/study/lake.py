@@ -13,7 +13,7 @@ def lake_map(system: str) -> np.ndarray | None:
     :return: the letters of its map, of shape (rows, columns), if it is a Frozen Lake
     """
     env: Any = gym.make(system).unwrapped
-    return env.desc.astype(str) if isinstance(env, FrozenLakeEnv) else None
+    return np.array(env.desc).astype(str) if isinstance(env, FrozenLakeEnv) else None
 
 
 def optimal_values(system: str, gamma: float, tolerance: float = 1e-12) -> np.ndarray:

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from sb3_adaptive_q.study.cells import WINDOW, Cell, cells_of
-from sb3_adaptive_q.study.storage import NUMBERS, StudyFolder
+from sb3_adaptive_q.study.cells import NUMBERS, WINDOW, Cell, cells_of
+from sb3_adaptive_q.study.storage import StudyFolder
 
 #: Points of a curve over the episodes, where every run is kept apart
 CURVE_POINTS = 300
@@ -33,7 +33,7 @@ class MethodSeries(NamedTuple):
 
 class Results(NamedTuple):
     """
-    :param cells: a row for each cell, with the columns ``storage.NUMBERS``
+    :param cells: a row for each cell, with the columns ``cells.NUMBERS``
     :param series: by system and method
     :param q_tables: the table of the first run, of shape (n_states, n_actions), by system and method
     """

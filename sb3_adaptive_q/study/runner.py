@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import AbstractContextManager
 from itertools import islice
+from typing import Any
 
 from tqdm import tqdm
 
@@ -31,7 +32,7 @@ def run_missing_cells(folder: StudyFolder, workers: int | None, dask: str | None
     if not missing:
         return
     with (
-        _workers(min(workers, len(missing)) if workers else None, dask) as pool,
+        _workers(workers, dask) as pool,
         tqdm(total=len(cells), initial=len(cells) - len(missing), unit="cell", disable=not progress_bar) as bar,
     ):
         _Run(folder, pool, bar).run(missing)
@@ -44,7 +45,7 @@ def _workers(workers: int | None, dask: str | None) -> AbstractContextManager[Wo
 class _Run:
     """The cells that are on their way, few at a time: memory does not grow with their number."""
 
-    def __init__(self, folder: StudyFolder, pool: Workers, bar: "tqdm[None]") -> None:
+    def __init__(self, folder: StudyFolder, pool: Workers, bar: "tqdm[Any]") -> None:
         self.folder = folder
         self.pool = pool
         self.bar = bar
@@ -95,4 +96,6 @@ class _Run:
 
 
 def _worker_died(error: Exception) -> StudyError:
-    return StudyError(f"A worker process died ({error}), perhaps for want of memory. Start again to go on; --workers 1 needs least.")
+    return StudyError(
+        f"A worker process died ({error}), perhaps for want of memory. Start again to go on; --workers 1 needs least."
+    )

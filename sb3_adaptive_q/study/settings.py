@@ -1,10 +1,12 @@
 """What a study holds fixed and what it compares: the paper's settings, and those that a user changes."""
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+
+import yaml
 
 from sb3_adaptive_q.callbacks import METHODS, method
 from sb3_adaptive_q.installed_rate import check_rate
@@ -88,9 +90,15 @@ class StudySettings:
         for name in (field.name for field in fields(self) if field.name.startswith("beta_")):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise DesignError(f"{name} must be a finite number of at least 0, but is {getattr(self, name)}.")
-        _as_design_error(lambda: [check_rate(name, getattr(self, name)) for name in _PROBABILITIES])
-        for number in self.methods:
-            _as_design_error(lambda: method(number, **self.method_kwargs(number)), f"Method {number}: ")  # noqa: B023
+        if self.beta_7 > self.beta_8:
+            raise DesignError(f"beta_7 must not be above beta_8, but they are {self.beta_7} and {self.beta_8}.")
+        try:
+            for name in _PROBABILITIES:
+                check_rate(name, getattr(self, name))
+            for number in self.methods:
+                method(number, **self.method_kwargs(number))
+        except ValueError as error:
+            raise DesignError(str(error)) from error
 
     def method_kwargs(self, number: int) -> dict[str, Any]:
         """
@@ -125,11 +133,26 @@ class StudySettings:
         :return: the settings
         :raises DesignError: if a name is unknown or a value is of another kind
         """
-        defaults = cls()
-        unknown = sorted(set(data) - set(defaults.as_data()))
+        defaults: dict[str, Any] = vars(cls())
+        unknown = [name for name in data if name not in defaults]
         if unknown:
-            raise DesignError(f"Unknown setting {unknown[0]!r}: the settings are {', '.join(defaults.as_data())}.")
-        return cls(**{name: _convert(name, value, getattr(defaults, name)) for name, value in data.items()})
+            raise DesignError(f"Unknown setting {unknown[0]!r}: the settings are {', '.join(defaults)}.")
+        return cls(**{name: _convert(name, value, defaults[name]) for name, value in data.items()})
+
+
+def read_design(path: Path) -> dict[str, Any]:
+    """
+    :param path: a YAML file of settings by name, such as the record that a study keeps of its own
+    :return: the settings as they stand there, and the versions under ``versions`` if it has them
+    :raises DesignError: if it cannot be read or holds something else
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise DesignError(f"Cannot read {path}: {' '.join(str(error).split())}.") from error
+    if not isinstance(data, dict) or not isinstance(data.get("versions", {}), dict):
+        raise DesignError(f"{path} must hold settings, one `name: value` a line.")
+    return data
 
 
 _PROBABILITIES = ("gamma", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps")
@@ -143,11 +166,13 @@ def _convert(name: str, value: Any, default: Any) -> Any:
         return tuple(_convert(name, item, default[0]) for item in items)
     if name == "next_action" and value is None:
         return None
-    kinds: tuple[type, ...] = {int: (int,), float: (int, float)}.get(type(default), (str,))
-    if isinstance(value, bool) or not isinstance(value, kinds):
-        expected = {int: "a whole number", float: "a number"}.get(type(default), "a text")
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    kind = type(default) if isinstance(default, int | float) else str
+    if isinstance(value, bool) or not isinstance(value, kind):
+        expected = {int: "a whole number", float: "a number", str: "a text"}[kind]
         raise DesignError(f"{name} must be {expected}, but is {value!r}.")
-    return float(value) if isinstance(default, float) else value
+    return value
 
 
 def _check_selection(name: str, values: tuple[Any, ...]) -> None:
@@ -160,10 +185,3 @@ def _check_selection(name: str, values: tuple[Any, ...]) -> None:
 def _check_choice(name: str, value: str, choices: list[str]) -> None:
     if value not in choices:
         raise DesignError(f"{name} must be one of {', '.join(choices)}, but is {value!r}.")
-
-
-def _as_design_error(check: Callable[[], Any], prefix: str = "") -> None:
-    try:
-        check()
-    except ValueError as error:
-        raise DesignError(f"{prefix}{error}") from error

@@ -1,13 +1,12 @@
-"""Intervals and tests over the runs of a study; SciPy, statsmodels and rliable compute them."""
+"""Intervals and tests over the runs of a study; SciPy and rliable compute them."""
 
 from collections.abc import Callable
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from rliable.metrics import aggregate_iqm, probability_of_improvement
+from rliable.metrics import aggregate_iqm
 from scipy import stats
-from statsmodels.stats.multitest import multipletests  # type: ignore[import-untyped]
 
 #: Of every interval
 CONFIDENCE = 0.95
@@ -75,7 +74,7 @@ def estimate(statistic: Callable[..., Any], *samples: np.ndarray) -> Estimate:
     value = float(statistic(*samples, axis=-1))
     if min(len(sample) for sample in samples) < 2:
         return Estimate(value, np.nan, np.nan)
-    interval = _bootstrap(statistic, samples, vectorized=True).confidence_interval
+    interval = _bootstrap(statistic, samples).confidence_interval
     return Estimate(value, float(interval.low), float(interval.high))
 
 
@@ -84,11 +83,8 @@ def interquartile_mean(sample: np.ndarray) -> Estimate:
     :param sample: of shape (runs,)
     :return: the mean of the middle half (Agarwal et al., 2021), with its bootstrap interval
     """
-    value = float(aggregate_iqm(sample))
-    if len(sample) < 2:
-        return Estimate(value, np.nan, np.nan)
-    interval = _bootstrap(aggregate_iqm, (sample,), vectorized=False, n_resamples=1999).confidence_interval
-    return Estimate(value, float(interval.low), float(interval.high))
+    _, low, high = estimate(_middle_mean, sample)
+    return Estimate(float(aggregate_iqm(sample)), low, high)
 
 
 def share(successes: int, n: int) -> Estimate:
@@ -109,7 +105,7 @@ def probability_best(samples: dict[int, np.ndarray]) -> dict[int, float]:
     """
     if min(len(sample) for sample in samples.values()) < 2:
         return dict.fromkeys(samples, np.nan)
-    means = _bootstrap(_stacked_means, tuple(samples.values()), vectorized=True).bootstrap_distribution
+    means = _bootstrap(_stacked_means, tuple(samples.values())).bootstrap_distribution
     is_best = means == means.max(axis=0)
     shares = (is_best / is_best.sum(axis=0)).mean(axis=-1)
     return dict(zip(samples, shares.tolist(), strict=True))
@@ -137,31 +133,41 @@ def compare_pairs(samples: dict[int, np.ndarray]) -> list[Pair]:
     pairs = list(combinations(samples, 2))
     if not pairs:
         return []
-    p_values = [float(stats.mannwhitneyu(samples[a], samples[b]).pvalue) for a, b in pairs]
-    corrected = multipletests(p_values, method="holm")[1]
-    return [
-        Pair(a, b, float(samples[a].mean() - samples[b].mean()), float(p), _improvement(samples[a], samples[b]))
-        for (a, b), p in zip(pairs, corrected, strict=True)
-    ]
+    first, second = (np.stack([samples[pair[i]] for pair in pairs]) for i in (0, 1))
+    test = stats.mannwhitneyu(first, second, axis=1)
+    columns = (
+        (first.mean(axis=1) - second.mean(axis=1)).tolist(),
+        _holm(test.pvalue).tolist(),
+        # U counts the couples in which the first is larger, a tie as half of one
+        (test.statistic / (first.shape[1] * second.shape[1])).tolist(),
+    )
+    return [Pair(a, b, *values) for (a, b), *values in zip(pairs, *columns, strict=True)]
 
 
-def _improvement(first: np.ndarray, second: np.ndarray) -> float:
-    return float(probability_of_improvement(first[:, np.newaxis], second[:, np.newaxis]))
+def _holm(p_values: np.ndarray) -> np.ndarray:
+    # SciPy has no such function, and the one of statsmodels collects garbage whenever it is called
+    order = np.argsort(p_values)
+    corrected = np.empty(len(order))
+    corrected[order] = np.minimum(np.maximum.accumulate(np.arange(len(order), 0, -1) * p_values[order]), 1.0)
+    return corrected
 
 
 def _stacked_means(*samples: np.ndarray, axis: int = -1) -> np.ndarray:
     return np.stack([sample.mean(axis=axis) for sample in samples])
 
 
-def _bootstrap(
-    statistic: Callable[..., Any], samples: tuple[np.ndarray, ...], vectorized: bool, n_resamples: int = RESAMPLES
-) -> Any:
+def _middle_mean(sample: np.ndarray, axis: int = -1) -> Any:
+    # What rliable's function computes, which has no axis
+    return stats.trim_mean(sample, 0.25, axis=axis)
+
+
+def _bootstrap(statistic: Callable[..., Any], samples: tuple[np.ndarray, ...]) -> Any:
     return stats.bootstrap(
         samples,
         statistic,
-        n_resamples=n_resamples,
+        n_resamples=RESAMPLES,
         batch=BATCH,
-        vectorized=vectorized,
+        vectorized=True,
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(BOOTSTRAP_SEED),

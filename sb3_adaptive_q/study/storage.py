@@ -3,8 +3,7 @@
 import json
 import os
 import platform
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
-from sb3_adaptive_q.study.cells import DIGEST, RECIPE, Cell, digest_of, recipe_of
+from sb3_adaptive_q.study.cells import DIGEST, RECIPE, SCHEMA, Cell, digest_of, recipe_of
 from sb3_adaptive_q.study.errors import DesignError, StudyError
-from sb3_adaptive_q.study.settings import SELECTION, StudySettings
+from sb3_adaptive_q.study.settings import SELECTION, StudySettings, read_design
+from sb3_adaptive_q.study.systems import file_name
 
 DESIGN_FILE = "study.yml"
 LIBRARIES = ("sb3-adaptive-q", "stable_baselines3", "gymnasium", "numpy", "numba", "torch", "scipy", "pandas", "pyarrow")
-
-#: Columns of a cell that hold one number, and those that hold a list
-NUMBERS = ("system", "method", "run", "seed", "episodes", "steps", "last_return", "mean_last_100")
-LISTS = ("returns", "lengths", "mu", "epsilon", "q_table")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -95,8 +91,7 @@ class StudyFolder:
         :param cell: a cell of the study
         :return: its file
         """
-        system = re.sub(r"[^\w.-]", "_", cell.system)
-        return self.path / "cells" / system / f"method-{cell.method}" / f"run-{cell.run:05d}.parquet"
+        return self.path / "cells" / file_name(cell.system) / f"method-{cell.method}" / f"run-{cell.run:05d}.parquet"
 
     def store(self, cell: Cell, content: bytes) -> None:
         """
@@ -121,14 +116,14 @@ class StudyFolder:
             recipe = json.loads(table.schema.metadata[RECIPE])
             if digest_of(recipe).encode() != table.schema.metadata[DIGEST]:
                 raise ValueError("its settings do not have the digest that it states")
-            _check_lengths(table)
+            _check_content(table)
         except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
             self._set_aside(path, error)
             return False
         self._check_recipe(path, recipe, recipe_of(self.settings, cell))
         return True
 
-    def read(self, cell: Cell, columns: tuple[str, ...]) -> dict[str, Any]:
+    def read(self, cell: Cell, columns: Iterable[str]) -> dict[str, Any]:
         """
         :param cell: a cell that is there
         :param columns: the names of columns
@@ -144,10 +139,10 @@ class StudyFolder:
 
     def _check_design(self, design: Path) -> None:
         try:
-            data = yaml.safe_load(design.read_text(encoding="utf-8"))
+            data = read_design(design)
             versions = data.pop("versions", {})
             stored = StudySettings.from_data(data).as_data()
-        except (yaml.YAMLError, AttributeError, UnicodeDecodeError, DesignError) as error:
+        except DesignError as error:
             raise DesignError(f"{design} does not describe a study ({error}): choose another output folder.") from error
         wanted = self.settings.as_data()
         _reject_other(self.path, {name: (stored[name], wanted[name]) for name in wanted if name not in SELECTION})
@@ -184,7 +179,7 @@ def _reject_other(path: Path, pairs: dict[str, tuple[Any, Any]]) -> None:
         )
 
 
-def _read(path: Path, columns: tuple[str, ...] = (*NUMBERS, *LISTS)) -> pa.Table:
+def _read(path: Path, columns: Iterable[str] = tuple(SCHEMA.names)) -> pa.Table:
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
         if file.metadata.num_rows != 1:
             raise ValueError(f"it has {file.metadata.num_rows} rows instead of 1")
@@ -196,7 +191,9 @@ def _value(column: pa.ChunkedArray) -> Any:
     return chunk.values.to_numpy() if pa.types.is_list(chunk.type) else chunk[0].as_py()
 
 
-def _check_lengths(table: pa.Table) -> None:
+def _check_content(table: pa.Table) -> None:
+    if not table.schema.equals(SCHEMA):
+        raise ValueError("its columns are not those of a cell")
     episodes = table.column("episodes")[0].as_py()
     for name in ("returns", "lengths", "mu", "epsilon"):
         if len(_value(table.column(name))) != episodes:

@@ -1,5 +1,7 @@
 """The environments of a study, wrapped as the paper has them."""
 
+import re
+import threading
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -42,6 +44,8 @@ PAPER_SYSTEMS = {
     CART_POLE: PaperSystem("Cart Pole", 8, 6, 10, 200.0, 7),
 }
 
+_of_thread = threading.local()
+
 
 def title_of(system: str) -> str:
     """
@@ -49,6 +53,14 @@ def title_of(system: str) -> str:
     :return: what to call it in a heading
     """
     return PAPER_SYSTEMS[system].title if system in PAPER_SYSTEMS else system
+
+
+def file_name(system: str) -> str:
+    """
+    :param system: the id of an environment
+    :return: it as a part of a path
+    """
+    return re.sub(r"[^\w.-]", "_", system)
 
 
 @cache
@@ -73,13 +85,28 @@ def make_system(system: str, wrapping: dict[str, Any]) -> VecEnv:
     return make_vec_env(system, vec_env_cls=CompiledVecEnv, **wrapper)  # type: ignore[arg-type]
 
 
+def reused_system(system: str, wrapping: dict[str, Any]) -> VecEnv:
+    """
+    The same as :func:`make_system`, made once in every thread: most of a short cell would be spent on it.
+
+    :param system: the id of an environment
+    :param wrapping: the parameters of its discretisation, or an empty dict
+    :return: an environment which is to be seeded and reset, and then has nothing left of its earlier uses
+    """
+    made: dict[str, VecEnv] = _of_thread.__dict__
+    key = f"{system} {wrapping}"
+    if key not in made:
+        made[key] = make_system(system, wrapping)
+    return made[key]
+
+
 def check_system(system: str) -> None:
     """
     :param system: what should be the id of an environment
     :raises DesignError: if there is no such environment, or it does not compile
     """
     try:
-        make_system(system, wrapping_of(system)).close()
+        reused_system(system, wrapping_of(system))
     except (gym.error.Error, ImportError) as error:
         raise DesignError(
             f"Unknown system {system!r} ({error}): give the id of a gymnasium environment, "

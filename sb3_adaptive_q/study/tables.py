@@ -10,7 +10,7 @@ from sb3_adaptive_q.study.paper_data import paper_table
 from sb3_adaptive_q.study.results import Results
 from sb3_adaptive_q.study.settings import CART_POLE, FROZEN_LAKE
 from sb3_adaptive_q.study.statistics import Estimate, estimate, mean, population_std
-from sb3_adaptive_q.study.systems import PAPER_SYSTEMS
+from sb3_adaptive_q.study.systems import PAPER_SYSTEMS, file_name, title_of
 
 STATISTICS = ("min", "max", "avg", "avg_100", "std")
 
@@ -91,12 +91,13 @@ def lake_table(q_table: np.ndarray, gamma: float) -> pd.DataFrame:
     """
     optimal = optimal_values(FROZEN_LAKE, gamma)
     printed = paper_table(1).set_index("state")
-    states, actions = np.indices(q_table.shape)
+    states, actions = np.divmod(np.arange(q_table.size), q_table.shape[1])
     paper = [
-        printed.loc[state, f"action_{action}"] if state in printed.index else np.nan for state, action in np.ndindex(q_table.shape)
+        printed.loc[state, f"action_{action}"] if state in printed.index else np.nan
+        for state, action in np.ndindex(q_table.shape)
     ]
-    columns = {"state": states, "action": actions, "learned": q_table, "optimal": optimal, "paper": np.array(paper)}
-    return pd.DataFrame({name: values.ravel() for name, values in columns.items()})
+    columns = {"state": states, "action": actions, "learned": q_table.ravel(), "optimal": optimal.ravel(), "paper": paper}
+    return pd.DataFrame(columns)
 
 
 def lake_markdown(table: pd.DataFrame) -> str:
@@ -122,7 +123,9 @@ def cart_pole_table(q_table: np.ndarray) -> pd.DataFrame:
     exists = table["state"] < len(q_table)
     learned = q_table[table["state"].where(exists, 0)]
     learned[~exists] = np.nan
-    return table.assign(learned_0=learned[:, 0], learned_1=learned[:, 1])[["state", "learned_0", "learned_1", "column_2", "column_3"]]
+    return table.assign(learned_0=learned[:, 0], learned_1=learned[:, 1])[
+        ["state", "learned_0", "learned_1", "column_2", "column_3"]
+    ]
 
 
 def cart_pole_markdown(table: pd.DataFrame) -> str:
@@ -155,6 +158,33 @@ def q_value_tables(results: Results, gamma: float) -> dict[int, tuple[str, pd.Da
         table = cart_pole_table(q_table)
         tables[6] = (f"Cart Pole: Q learned by Method {number} in run 0", table, cart_pole_markdown(table))
     return tables
+
+
+def table_files(results: Results, gamma: float) -> dict[str, str]:
+    """
+    :param results: of the study
+    :param gamma: the discount factor
+    :return: the content of every table's files by their names
+    """
+    files = {"results.csv": results.cells.to_csv(index=False)}
+    for system in results.systems:
+        table = results_table(results, system)
+        files |= _files(table_name(system), table, f"{title_of(system)}\n\n{results_markdown(table)}\n\n{NOTE}\n")
+    for number, (caption, table, text) in q_value_tables(results, gamma).items():
+        files |= _files(f"table_{number}", table, f"{caption}\n\n{text}\n")
+    return files
+
+
+def table_name(system: str) -> str:
+    """
+    :param system: a system of the study
+    :return: the name of the files of its table of results, without the ending
+    """
+    return f"table_{PAPER_SYSTEMS[system].results_table}" if system in PAPER_SYSTEMS else f"table_{file_name(system)}"
+
+
+def _files(name: str, table: pd.DataFrame, text: str) -> dict[str, str]:
+    return {f"{name}.csv": table.to_csv(index=False), f"{name}.md": text}
 
 
 def markdown_table(header: list[str], rows: list[list[str]]) -> str:

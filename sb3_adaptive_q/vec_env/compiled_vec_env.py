@@ -1,6 +1,5 @@
 """Environments that TabularQ can run in whole stretches of compiled code."""
 
-import copy
 import time
 from collections.abc import Callable
 from typing import Any
@@ -9,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from sb3_adaptive_q.vec_env import cart_pole_dynamics  # registers the Cart Poles  # noqa: F401
+from sb3_adaptive_q.vec_env.comparison import compare_with_environment
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_dynamics, registered_names
 from sb3_adaptive_q.vec_env.layers import Layers, peel
 from sb3_adaptive_q.vec_env.lean_vec_env import LeanVecEnv
@@ -135,37 +135,6 @@ class CompiledEnv:
         for episode_return, length in zip(returns.tolist(), lengths.tolist(), strict=True):
             row = {"r": round(episode_return, 6), "l": length, "t": seconds}
             self.layers.monitor.results_writer.write_row(row)
-
-
-def compare_with_environment(twin: CompiledEnv, n_steps: int = 100) -> None:
-    """
-    Step a copy of the environment beside the functions that stand for it, both uncompiled, from the same seed.
-
-    :param twin: the environment
-    :param n_steps: how long
-    :raises ValueError: if they differ
-    """
-    env, dynamics = copy.deepcopy(twin.unwrapped), twin.dynamics
-    env.reset(seed=0)
-    generator = np.random.default_rng()
-    generator.bit_generator.state = env.np_random.bit_generator.state
-    mirror = type(dynamics)(env, Grid.of(twin.layers.discretizer) if twin.layers.discretizer else None)
-    state = mirror.read_state()
-    actions = np.random.default_rng(0)
-    for step in range(n_steps):
-        action = int(actions.integers(env.action_space.n))
-        _, reward, terminated, _, _ = env.step(action + int(env.action_space.start))
-        state, twin_reward, twin_terminated = dynamics.step(dynamics.parameters, state, action, generator)
-        same = np.allclose(mirror.read_state(), state, rtol=0.0, atol=1e-12)
-        if not same or reward != twin_reward or bool(terminated) != bool(twin_terminated):
-            raise ValueError(
-                f"{type(env).__name__} does not step as {type(dynamics).__name__} does: after step {step} it is in state "
-                f"{mirror.read_state()} with reward {reward}, which should be {state} and {twin_reward}. "
-                "Use LeanVecEnv, which works with everything."
-            )
-        if terminated:
-            env.reset()
-            state = dynamics.reset(dynamics.parameters, generator)
 
 
 def _dynamics_of(env: gym.Env) -> type[Dynamics]:

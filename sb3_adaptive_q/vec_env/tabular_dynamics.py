@@ -4,9 +4,12 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_no_flaw
 
+#: A VecEnv hands rewards on as float32
+LARGEST_REWARD = float(np.finfo(np.float32).max)
 
 #: An outcome of taking an action in a state; one record, because a large table costs a cache miss for each array
 OUTCOME = np.dtype(
@@ -45,7 +48,12 @@ class TabularDynamics(Dynamics):
         self.parameters = read_table(env)
 
     def read_state(self) -> int:
-        return int(self.env.s)  # type: ignore[attr-defined]
+        if not hasattr(self.env, "s"):
+            raise ValueError(
+                f"{type(self.env).__name__} has a transition table `P`, so its state must be in the attribute `s`, but there "
+                "is none after a reset: please name it so, or use LeanVecEnv, which works with everything."
+            )
+        return int(self.env.s)
 
     def write_state(self, state: Any) -> None:
         self.env.s = int(state)  # type: ignore[attr-defined]
@@ -86,8 +94,13 @@ def read_table(env: Any) -> TransitionTable:
     :return: both as arrays
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
-    n_states, n_actions = int(env.observation_space.n), int(env.action_space.n)
-    rows = [[env.P[state][action] for action in range(n_actions)] for state in range(n_states)]
+    n_states, n_actions = _count(env, "observation_space"), _count(env, "action_space")
+    if not 1 <= len(env.initial_state_distrib) <= n_states:
+        raise ValueError(
+            f"`initial_state_distrib` must have a probability for each of the {n_states} states, but has "
+            f"{len(env.initial_state_distrib)}: please check it."
+        )
+    rows = [[_outcomes_of(env, state, action) for action in range(n_actions)] for state in range(n_states)]
     most = max(len(outcomes) for row in rows for outcomes in row)
     table = np.empty((n_states, n_actions, most + 1), dtype=OUTCOME)
     for state, row in enumerate(rows):
@@ -103,6 +116,39 @@ def read_table(env: Any) -> TransitionTable:
     return TransitionTable(_cumulative("initial_state_distrib", env.initial_state_distrib), table)
 
 
+def playable_states(table: TransitionTable, most_rows: int = 10_000) -> np.ndarray:
+    """
+    :param table: the transitions
+    :param most_rows: of how many states of a large table to look at the outcomes
+    :return: states in which an action may be taken: where an episode begins or goes on
+    """
+    n_states = len(table.outcomes)
+    outcomes = table.outcomes[:: -(-n_states // most_rows), :, :-1]
+    bounds = outcomes["cumulative"]
+    possible = np.isfinite(bounds)
+    possible[:, :, 1:] &= bounds[:, :, 1:] > bounds[:, :, :-1]
+    possible[:, :, 0] &= bounds[:, :, 0] > 0.0
+    begins = np.flatnonzero(np.diff(table.initial[:most_rows], prepend=0.0) > 0.0)
+    return np.union1d(begins, outcomes["next_state"][possible & ~outcomes["terminated"]])
+
+
+def _count(env: Any, name: str) -> int:
+    space = getattr(env, name)
+    if not isinstance(space, spaces.Discrete) or (name == "observation_space" and space.start != 0):
+        raise ValueError(
+            f"An environment with a transition table `P` compiles where its {name} is Discrete and states count from 0, but "
+            f"that of {type(env).__name__} is {space}: use LeanVecEnv, which works with everything."
+        )
+    return int(space.n)
+
+
+def _outcomes_of(env: Any, state: int, action: int) -> Any:
+    try:
+        return env.P[state][action]
+    except (KeyError, IndexError) as error:
+        raise ValueError(f"`P` must have P[{state}][{action}], but that is missing: please check the table.") from error
+
+
 def _cumulative(name: str, probabilities: Any) -> np.ndarray:
     values = np.asarray(probabilities, dtype=np.float64)
     if not (values >= 0.0).all() or not np.isclose(values.sum(), 1.0, rtol=0.0, atol=1e-8):
@@ -113,8 +159,11 @@ def _cumulative(name: str, probabilities: Any) -> np.ndarray:
 def _check_outcomes(name: str, outcomes: Any, n_states: int) -> None:
     if not outcomes:
         raise ValueError(f"{name} must have at least one outcome, but is empty: please check the table.")
-    for _, next_state, reward, _ in outcomes:
-        if not 0 <= next_state < n_states:
+    for outcome in outcomes:
+        if np.shape(outcome) != (4,):
+            raise ValueError(f"The outcomes of {name} must be (probability, next state, reward, terminated), not {outcome}.")
+        _, next_state, reward, _ = outcome
+        if not (0 <= next_state < n_states and next_state == int(next_state)):
             raise ValueError(f"The next states of {name} must be 0 to {n_states - 1}, but one is {next_state}.")
-        if not np.isfinite(reward):
-            raise ValueError(f"The rewards of {name} must be finite, but one is {reward}.")
+        if not abs(reward) <= LARGEST_REWARD:
+            raise ValueError(f"The rewards of {name} must be finite numbers of float32, but one is {reward}.")

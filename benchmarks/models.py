@@ -1,0 +1,37 @@
+"""The learners that the comparisons run."""
+
+import gymnasium as gym
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+
+from benchmarks.bare_loops import N_EDGES, POLE_BOUNDS
+from sb3_adaptive_q import CompiledVecEnv, TabularQ
+from wrappers import DiscretizeObservation
+
+
+class PlainCallback(BaseCallback):
+    """A callback of a user's own, which SB3 calls at every step and the compiled path once for each stretch."""
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def discretize(env: gym.Env) -> gym.Env:
+    """
+    :param env: a Cart Pole
+    :return: the same with the cells of the paper
+    """
+    return DiscretizeObservation(env, N_EDGES, [-bound for bound in POLE_BOUNDS], POLE_BOUNDS)
+
+
+def compiled_model(env_id: str, method: int, seed: int = 0, tensorboard_log: str | None = None) -> TabularQ:
+    """
+    :param env_id: FrozenLake-v1, or one of the Cart Poles
+    :param method: of the paper
+    :param seed: of the model
+    :param tensorboard_log: as in TabularQ
+    :return: a model that has not learned yet
+    """
+    wrapper = discretize if env_id.startswith("CartPole") else None
+    env = make_vec_env(env_id, vec_env_cls=CompiledVecEnv, wrapper_class=wrapper)
+    return TabularQ("MlpPolicy", env, method=method, seed=seed, tensorboard_log=tensorboard_log)

@@ -1,0 +1,57 @@
+"""How much later a process begins to learn on the compiled path than on the per-step path."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+
+from benchmarks.measure import Row, print_rows
+
+N_ROUNDS = 3
+PER_STEP = """
+from benchmarks.models import discretize
+import gymnasium, sb3_adaptive_q
+env = gymnasium.make("{env_id}")
+env = discretize(env) if "{env_id}".startswith("CartPole") else env
+sb3_adaptive_q.TabularQ("MlpPolicy", env, method={method}).learn(100)
+"""
+COMPILED = """
+from benchmarks.models import compiled_model
+compiled_model("{env_id}", {method}).learn(100)
+"""
+
+
+def main() -> None:
+    """Print the seconds of the first process with an empty cache, and of the next one."""
+    for env_id, method in (("FrozenLake-v1", 1), ("CartPoleFriction-v0", 7)):
+        _start(PER_STEP, env_id, method, "")  # reads the libraries from the disk
+        rounds = np.array([_measure_round(env_id, method) for _ in range(N_ROUNDS)])
+        cold, warm = rounds.transpose(1, 2, 0)
+        print_rows(
+            f"{env_id}, method {method}: seconds from the start of a process to its first learning, over the per-step path",
+            [
+                Row("first process, which compiles", *cold, asked="at most 8"),
+                Row("later processes, which load", *warm, asked="at most 0.5"),
+            ],
+        )
+
+
+def _measure_round(env_id: str, method: int) -> np.ndarray:
+    """Seconds over the per-step path: a row for the first process and one for the next, by CPU time and by the clock."""
+    with tempfile.TemporaryDirectory() as cache:
+        per_step = _start(PER_STEP, env_id, method, cache)
+        return np.array([_start(COMPILED, env_id, method, cache) - per_step for _ in range(2)])
+
+
+def _start(program: str, env_id: str, method: int, cache: str) -> np.ndarray:
+    """Processor time and seconds of a process with this cache of compiled code."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+    command = [sys.executable, "-c", program.format(env_id=env_id, method=method)]
+    before, wall = os.times(), time.perf_counter()
+    subprocess.run(command, env=environment, check=True)
+    after = os.times()
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    return np.array([cpu, time.perf_counter() - wall])

@@ -1,0 +1,219 @@
+"""Environments with a transition table ``P``: what is read equals it, what is drawn follows it."""
+
+from collections import Counter
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numba
+import numpy as np
+import pytest
+from gymnasium.envs.toy_text.frozen_lake import generate_random_map
+from gymnasium.envs.toy_text.utils import categorical_sample
+from gymnasium.wrappers import TimeLimit
+from helpers.both_paths import assert_same, learn
+from helpers.table_env import TableEnv
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+from stable_baselines3.common.monitor import Monitor
+
+from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
+from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, read_table
+
+#: Of every statistical test here: how often it would fail for a correct program, were its seed not fixed
+ERROR_RATE = 1e-6
+
+#: A user's own: rows of different lengths, impossible outcomes, equal outcomes, negative and broken rewards
+RAGGED = [
+    [[(0.5, 1, 0.25, False), (0.5, 2, -1.5, False)], [(1.0, 0, 0.0, False)]],
+    [[(0.1, 0, 0.0, False), (0.2, 1, 1.0, False), (0.3, 2, 2.0, False), (0.4, 3, 3.0, True)], [(1.0, 3, 1 / 3, True)]],
+    [[(0.0, 0, 9.0, True), (0.7, 1, 0.1, False), (0.0, 3, 9.0, True), (0.3, 1, 0.1, False)], [(1, 0, 7, 0), (0, 1, 8, 1)]],
+    [[(1.0, 3, 0.0, True)], [(1.0, 3, 0.0, True)]],
+]
+ENVIRONMENTS = {
+    "slippery lake": lambda: gym.make("FrozenLake-v1"),
+    "firm lake": lambda: gym.make("FrozenLake-v1", is_slippery=False),
+    "large lake": lambda: gym.make("FrozenLake8x8-v1"),
+    "random lake": lambda: gym.make("FrozenLake-v1", desc=generate_random_map(6, p=0.7, seed=1), success_rate=0.6),
+    "lake with two starts": lambda: gym.make("FrozenLake-v1", desc=["SFFS", "FHFF", "FFFG"]),
+    "Taxi": lambda: gym.make("Taxi-v4"),
+    "rainy Taxi": lambda: gym.make("Taxi-v4", is_rainy=True),
+    "CliffWalking": lambda: gym.make("CliffWalking-v1", max_episode_steps=200),
+    "slippery CliffWalking": lambda: gym.make("CliffWalkingSlippery-v1", max_episode_steps=200),
+    "ragged": lambda: TimeLimit(TableEnv(RAGGED, [0.25, 0.0, 0.75, 0.0]), 50),
+}
+ALL = pytest.mark.parametrize("name", ENVIRONMENTS)
+
+
+def pairs(env):
+    """Every state and action with its outcomes."""
+    return [(s, a, env.P[s][a]) for s in range(env.observation_space.n) for a in range(env.action_space.n)]
+
+
+def check_frequencies(*tables):
+    """
+    Pearson's chi-square test.
+
+    :param tables: pairs of (probabilities, counts), drawn independently
+    :raises AssertionError: if together they are as unlikely as ``ERROR_RATE``, or what is impossible was drawn
+    """
+    statistic, degrees = 0.0, 0
+    for probabilities, counts in tables:
+        probabilities, counts = np.array(probabilities), np.array(counts)
+        possible = probabilities > 0.0
+        assert not counts[~possible].any()
+        expected = probabilities[possible] * counts.sum()
+        assert (expected >= 5.0).all(), "too few draws for the statistic's distribution"
+        statistic += float(((counts[possible] - expected) ** 2 / expected).sum())
+        degrees += int(possible.sum()) - 1
+    assert degrees > 0
+    assert chi2.sf(statistic, degrees) > ERROR_RATE, (statistic, degrees)
+
+
+class TestReading:
+    @ALL
+    def test_every_outcome_is_there(self, name):
+        env = ENVIRONMENTS[name]().unwrapped
+        table = read_table(env)
+        assert table.outcomes.shape[:2] == (env.observation_space.n, env.action_space.n)
+        for state, action, outcomes in pairs(env):
+            row = table.outcomes[state, action]
+            running = 0.0
+            for outcome, (probability, next_state, reward, terminated) in zip(row, outcomes, strict=False):
+                running += probability
+                assert (outcome["cumulative"], outcome["next_state"], outcome["reward"], bool(outcome["terminated"])) == (
+                    running,
+                    next_state,
+                    reward,
+                    bool(terminated),
+                )
+            assert (row["cumulative"][len(outcomes) :] == np.inf).all()
+        np.testing.assert_array_equal(table.initial, np.cumsum(env.initial_state_distrib))
+
+    def test_a_table_as_lists_is_as_good_as_dicts(self):
+        env = TableEnv(RAGGED, [1.0, 0.0, 0.0, 0.0])
+        expected = read_table(env)
+        env.P = RAGGED
+        np.testing.assert_array_equal(read_table(env).outcomes, expected.outcomes)
+
+
+@st.composite
+def distributions(draw):
+    """Up to twelve probabilities whose sum is 1 up to rounding, zeros among them."""
+    weights = draw(st.lists(st.integers(0, 20), min_size=1, max_size=12).filter(any))
+    return [weight / sum(weights) for weight in weights]
+
+
+NUMBERS = st.floats(0.0, 1.0, exclude_max=True) | st.just(float(np.nextafter(1.0, 0.0)))
+
+
+class Scripted:
+    """A generator that gives one number."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def random(self):
+        return self.number
+
+
+compiled_step = numba.njit(TabularDynamics.step)
+
+
+@numba.njit
+def draw(table, state, action, generator, n_draws):
+    outcomes = np.empty((n_draws, 3))
+    for i in range(n_draws):
+        outcomes[i, 0], outcomes[i, 1], outcomes[i, 2] = compiled_step(table, state, action, generator)
+    return outcomes
+
+
+class TestDrawing:
+    @given(distributions(), NUMBERS)
+    @settings(max_examples=300, deadline=None)
+    def test_any_number_means_the_outcome_that_it_means_to_gymnasium(self, probabilities, number):
+        n = len(probabilities)
+        rows = [[(p, i, float(i), False) for i, p in enumerate(probabilities)]]
+        filler = [[[(1.0, 0, 0.0, True)]]] * (n - 1)
+        table = read_table(TableEnv([rows, *filler], probabilities))
+        expected = categorical_sample(probabilities, Scripted(number))
+        next_state, reward, terminated = TabularDynamics.step(table, 0, 0, Scripted(number))
+        assert (next_state, reward, terminated) == (expected, expected, False)
+        assert TabularDynamics.reset(table, Scripted(number)) == expected
+
+    def test_a_number_above_a_sum_that_rounding_left_below_1_means_the_first(self):
+        tenths, almost_1 = [0.1] * 10, float(np.nextafter(1.0, 0.0))
+        assert np.cumsum(tenths)[-1] == almost_1
+        rows = [[(p, i, 0.0, False) for i, p in enumerate(tenths)]]
+        table = read_table(TableEnv([rows] + [[[(1.0, 0, 0.0, True)]]] * 9, tenths))
+        assert categorical_sample(tenths, Scripted(almost_1)) == 0
+        assert TabularDynamics.step(table, 0, 0, Scripted(almost_1))[0] == 0
+        assert TabularDynamics.reset(table, Scripted(almost_1)) == 0
+        below = float(np.nextafter(almost_1, 0.0))
+        assert TabularDynamics.step(table, 0, 0, Scripted(below))[0] == 9
+
+    @pytest.mark.parametrize("name", ["slippery lake", "large lake", "rainy Taxi", "slippery CliffWalking", "ragged"])
+    def test_compiled_draws_follow_the_table(self, name):
+        """In every state with every action; equal outcomes are counted as one."""
+        env = ENVIRONMENTS[name]().unwrapped
+        table, generator = read_table(env), np.random.default_rng(0)
+        tables = []
+        for state, action, outcomes in pairs(env):
+            expected = Counter()
+            for probability, *outcome in outcomes:
+                expected[tuple(map(float, outcome))] += probability
+            counts = Counter(map(tuple, draw(table, state, action, generator, 1000).tolist()))
+            assert set(counts) <= set(expected)
+            tables.append((list(expected.values()), [counts[outcome] for outcome in expected]))
+        check_frequencies(*tables)
+
+    def test_whole_stretches_follow_the_table(self):
+        """Episodes of one step that tell by their return which outcome was drawn."""
+        probabilities = [0.5, 0.05, 0.0, 0.2, 0.25]
+        env = TableEnv([[[(p, 0, float(i), True) for i, p in enumerate(probabilities)]]], [1.0])
+        returns = returns_of(env)
+        assert len(returns) == 400_000
+        check_frequencies((probabilities, np.bincount(returns.astype(int), minlength=5)))
+
+    def test_whole_stretches_follow_the_initial_distribution(self):
+        """The first state is what an episode returns."""
+        probabilities = [0.1, 0.0, 0.6, 0.3]
+        env = TableEnv([[[(1.0, 0, float(state), True)]] for state in range(4)], probabilities)
+        check_frequencies((probabilities, np.bincount(returns_of(env).astype(int), minlength=4)))
+
+
+def returns_of(env):
+    series = EpisodeSeriesCallback()
+    TabularQ("MlpPolicy", CompiledVecEnv([lambda: Monitor(env)]), seed=1).learn(400_000, callback=series, log_interval=None)
+    return series.returns
+
+
+class TestLearning:
+    @pytest.mark.parametrize("n_envs", [1, 3])
+    @pytest.mark.parametrize("name", ["random lake", "lake with two starts", "rainy Taxi", "slippery CliffWalking", "ragged"])
+    def test_both_paths_are_the_same_to_the_bit(self, name, n_envs):
+        ordinary, compiled = (
+            learn(
+                TabularQ("MlpPolicy", kind([lambda: Monitor(ENVIRONMENTS[name]())] * n_envs), seed=2, method=7, initial_q=0.5),
+                9_000,
+            )
+            for kind in (LeanVecEnv, CompiledVecEnv)
+        )
+        assert len(ordinary.returns) > 10
+        assert_same(compiled, ordinary)
+
+    def test_the_table_is_read_when_learning_begins(self):
+        """So a table that is changed in between is learned from as it is then."""
+        env = TableEnv([[[(1.0, 0, 1.0, True)]]], [1.0])
+        model = TabularQ("MlpPolicy", CompiledVecEnv([lambda: Monitor(env)]), learning_rate=1.0)
+        model.learn(10)
+        assert model.q_table.tolist() == [[1.0]]
+        env.P[0][0] = [(1.0, 0, 5.0, True)]
+        model.learn(10)
+        assert model.q_table.tolist() == [[5.0]]
+
+
+def test_what_has_a_table_and_no_distribution_is_no_table_environment():
+    from sb3_adaptive_q.vec_env.tabular_dynamics import has_table
+
+    assert not has_table(SimpleNamespace(P={}))
