@@ -24,7 +24,8 @@ class LearningRateCallback(BaseCallback):
 
     A rule of your own is a subclass with the attribute :attr:`rule`, a plain function
     ``rule(mu, transition, *parameters)`` of scalars that returns μ_{t+1}; see :class:`sb3_adaptive_q.rules.Transition`
-    for what it may look at. Written in the part of Python that Numba compiles, it runs in compiled environments too.
+    for what it may look at. Written with numbers only, without lists or arrays, in the part of Python that Numba
+    compiles, it runs in compiled environments too.
 
     :param mu_0: the step size of the first update; ``None`` asks the rule itself, with no progress made
     :param next_action: which action's value in the next state the rule sees: ``"same"``, Q_t(s_{t+1}, a_t);
@@ -47,7 +48,11 @@ class LearningRateCallback(BaseCallback):
         self.rate = InstalledRate.of(type(self), mu_0, next_action, reset_each_episode, parameters)
 
     def _on_training_start(self) -> None:
-        self.model.install_rate(self.rate, restart=self.locals["reset_num_timesteps"])  # type: ignore[attr-defined]
+        if not hasattr(self.model, "install_rate"):
+            raise ValueError(
+                f"{type(self).__name__} sets the learning rate of a TabularQ, but got a {type(self.model).__name__}."
+            )
+        self.model.install_rate(self.rate, restart=self.locals["reset_num_timesteps"])
 
     def _on_step(self) -> bool:
         return True

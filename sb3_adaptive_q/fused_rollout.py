@@ -1,5 +1,6 @@
 """How transitions are made and learned from on a compiled environment: a stretch of them at a time."""
 
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,12 +36,11 @@ class FusedRollout(StepRollout):
         super().__init__(model, learner)
         self.callback = callback
         self.twins = self.env.compile()
-        self.generators = tuple(twin.unwrapped.np_random for twin in self.twins)
         self.dynamics = self.twins[0].dynamics.function_set()
         self.parameters = tuple(self.twins[0].dynamics.parameters)
         self.template = self.twins[0].dynamics.read_state()
-        self.lanes = self._read_lanes()
-        self.interval = model.callback_interval or DEFAULT_INTERVAL
+        self.lanes = _empty_lanes(self.env.num_envs, np.size(self.template))
+        self.interval = min(model.callback_interval or DEFAULT_INTERVAL, max(self._steps_left(), 1))
         self.record = _empty_record(self.interval * self.env.num_envs)
 
     def advance(self) -> tuple[np.ndarray, Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -77,16 +77,19 @@ class FusedRollout(StepRollout):
             record.epsilons[:end].copy(),
         )  # fmt: skip
 
+    def _steps_left(self) -> int:
+        return ceil((self.model._total_timesteps - self.model.num_timesteps) / self.env.num_envs)
+
     def _limits(self) -> tuple[int, int]:
         model, n_envs = self.model, self.env.num_envs
-        steps_left = -(-(model._total_timesteps - model.num_timesteps) // n_envs)
         episodes_left = model._total_episodes - model._episode_num
-        max_steps = min(self.interval, steps_left, steps_until_due(self.callback, model.num_timesteps, n_envs))
+        max_steps = min(self.interval, self._steps_left(), steps_until_due(self.callback, model.num_timesteps, n_envs))
         max_episodes = min(episodes_left, episodes_until_due(self.callback), 2**62)
         return int(max_steps), int(max_episodes)
 
     def _run(self, dones: np.ndarray, max_steps: int, max_episodes: int) -> int:
         model, lanes = self.model, self.lanes
+        self._read_lanes()
         lanes.actions[:] = self.actions
         lanes.indices[:] = self.states
         counters = fused.Counters(model.mu, model.exploration_rate, self.progress, model._episode_num, model.num_timesteps)
@@ -155,21 +158,29 @@ class FusedRollout(StepRollout):
             if (seconds := times[i]) is not None
         ]
 
-    def _read_lanes(self) -> fused.Lanes:
-        n_envs = self.env.num_envs
-        states = np.array([np.atleast_1d(twin.dynamics.read_state()) for twin in self.twins], dtype=np.float64)
-        return fused.Lanes(
-            states=states,
-            lengths=np.array([twin.episode_length for twin in self.twins], dtype=np.int64),
-            returns=np.array([twin.episode_return for twin in self.twins], dtype=np.float64),
-            indices=np.zeros(n_envs, dtype=np.int64),
-            actions=np.zeros(n_envs, dtype=np.int64),
-            rewards=np.zeros(n_envs, dtype=np.float32),
-            next_indices=np.zeros(n_envs, dtype=np.int64),
-            terminated=np.zeros(n_envs, dtype=bool),
-            dones=np.zeros(n_envs, dtype=bool),
-            start_indices=np.zeros(n_envs, dtype=np.int64),
-        )
+    def _read_lanes(self) -> None:
+        """Where the environments are: where the last stretch left them, unless a callback has moved one since."""
+        for i, twin in enumerate(self.twins):
+            if twin.was_moved():
+                self.lanes.states[i] = twin.dynamics.read_state()
+                self.lanes.lengths[i] = twin.episode_length
+                self.lanes.returns[i] = twin.episode_return
+        self.generators = tuple(twin.unwrapped.np_random for twin in self.twins)
+
+
+def _empty_lanes(n_envs: int, state_size: int) -> fused.Lanes:
+    return fused.Lanes(
+        states=np.zeros((n_envs, state_size)),
+        lengths=np.zeros(n_envs, dtype=np.int64),
+        returns=np.zeros(n_envs),
+        indices=np.zeros(n_envs, dtype=np.int64),
+        actions=np.zeros(n_envs, dtype=np.int64),
+        rewards=np.zeros(n_envs, dtype=np.float32),
+        next_indices=np.zeros(n_envs, dtype=np.int64),
+        terminated=np.zeros(n_envs, dtype=bool),
+        dones=np.zeros(n_envs, dtype=bool),
+        start_indices=np.zeros(n_envs, dtype=np.int64),
+    )
 
 
 def _empty_record(n_rows: int) -> fused.Record:

@@ -16,7 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import ConstantSchedule, get_device, safe_mean
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_adaptive_q import kernels, rules
@@ -48,8 +48,9 @@ class TabularQ(BaseAlgorithm):
     :param env: the environment to learn from, or its id; ``None`` for a model that is only loaded to predict
     :param learning_rate: the step size μ, from 0 to 1, where no method is installed: a number, or a function of the
         remaining progress (from 1 to 0)
-    :param gamma: the discount factor γ
-    :param method: the number of the paper's method to install, 1 to 8; ``None`` for ``learning_rate``
+    :param gamma: the discount factor γ; like the exploration's arguments, read when ``learn`` is called
+    :param method: the number of the paper's method to install, 1 to 8; ``None`` for ``learning_rate``. A
+        method handed to ``learn`` as a callback replaces it
     :param method_kwargs: what shall differ from the paper's parameters, as in :func:`sb3_adaptive_q.method`
     :param exploration_fraction: the fraction of the training over which the exploration rate falls
     :param exploration_initial_eps: the exploration rate ε at the start
@@ -133,8 +134,7 @@ class TabularQ(BaseAlgorithm):
         self.policy = self.policy_class(  # type: ignore[assignment]
             self.observation_space, self.action_space, self.lr_schedule, initial_q=self.initial_q, **self.policy_kwargs
         ).to(self.device)
-        self._table: Any = memoryview(self.q_table)  # type: ignore[arg-type]
-        self._mu: Any = memoryview(self.policy.mu.numpy())  # type: ignore[arg-type]
+        self._view_buffers()
         self._rate: InstalledRate | None = None
         self._rule = HOLD
         self._rule_arguments: tuple[float, ...] = ()
@@ -143,6 +143,18 @@ class TabularQ(BaseAlgorithm):
             self._restore_rate(InstalledRate(**self._rate_data))
         elif self.method is not None:
             self.install_rate(make_method(self.method, **(self.method_kwargs or {})).rate, restart=True)
+
+    def _view_buffers(self) -> None:
+        """Views of the policy's buffers, through which a step reads and writes single entries."""
+        self._table: Any = memoryview(self.q_table)  # type: ignore[arg-type]
+        self._mu: Any = memoryview(self.policy.mu.numpy())  # type: ignore[arg-type]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_table", "_mu")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._view_buffers()
 
     def _check_arguments(self) -> None:
         if self.format_version > FORMAT_VERSION:
@@ -160,8 +172,8 @@ class TabularQ(BaseAlgorithm):
             )
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"`{name}` must be at least 1, or None, but got {value}.")
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+                raise ValueError(f"`{name}` must be at least 1, or None, and a whole number, but got {value}.")
         if not np.isfinite(self.initial_q):
             raise ValueError(f"`initial_q` must be finite, but got {self.initial_q}.")
 
@@ -279,6 +291,12 @@ class TabularQ(BaseAlgorithm):
 
     def _make_rollout(self, callback: BaseCallback) -> StepRollout:
         if not isinstance(self.env, CompiledVecEnv):
+            if isinstance(self.env, VecEnvWrapper) and isinstance(self.env.unwrapped, CompiledVecEnv):
+                warnings.warn(
+                    f"A CompiledVecEnv inside a {type(self.env).__name__} is stepped like any other environment: for "
+                    "compiled stretches, hand it over without a wrapper.",
+                    stacklevel=4,
+                )
             return StepRollout(self, self._make_learner())
         from sb3_adaptive_q.fused_rollout import FusedRollout  # imports Numba, which the per-step path does without
 
@@ -294,11 +312,11 @@ class TabularQ(BaseAlgorithm):
             exploration_final_eps=float(self.exploration_final_eps),
             exploration_fraction=float(self.exploration_fraction),
             exploration_slope=decay / self.exploration_fraction if self.exploration_fraction else 0.0,
-            total_timesteps=self._total_timesteps,
+            total_timesteps=int(self._total_timesteps),
             total_episodes=int(self._total_episodes) if self.total_episodes else 0,
             next_action=kernels.NEXT_ACTIONS[rate.next_action] if rate else kernels.SAME_ACTION,
             reset_each_episode=rate.reset_each_episode if rate else False,
-            mu_0=rate.start() if rate else 0.0,
+            mu_0=float(rate.start()) if rate else 0.0,
         )
 
     def _refuse_rate(self, rate: float) -> NoReturn:
@@ -412,7 +430,10 @@ class TabularQ(BaseAlgorithm):
             kwargs = {"_rate_data": None, **kwargs}
         elif "learning_rate" in kwargs:
             kwargs = {"_rate_data": None, "method": None, "method_kwargs": None, **kwargs}
-        return super().load(*args, **kwargs)
+        model = super().load(*args, **kwargs)
+        if "_rate_data" in kwargs:  # the file's μ is that of the method which has been replaced
+            model.mu = model._rate.start() if model._rate is not None else model.lr_schedule(1.0)
+        return model
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         super().set_env(env, force_reset)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sb3_adaptive_q import TabularQ
 from sb3_adaptive_q.study import DesignError, StudySettings
 from sb3_adaptive_q.study.cells import SCHEMA, Cell, cells_of, recipe_of, run_cell, seed_of
-from sb3_adaptive_q.study.storage import StudyFolder
+from sb3_adaptive_q.study.storage import StudyFolder, write_atomically
 from wrappers import DiscretizeObservation
 
 DESIGN = StudySettings(runs=2, episodes=30, methods=(1, 7))
@@ -47,7 +47,7 @@ def ordinary_environment(system: str) -> gym.Env:
 
 @pytest.mark.parametrize("cell", [LAKE, POLE], ids=str)
 def test_cell_is_what_tabular_q_learns_from_an_ordinary_environment(cell: Cell, folder: StudyFolder) -> None:
-    folder.store(cell, run_cell(recipe_of(DESIGN, cell)))
+    write_atomically(folder.path_of(cell), run_cell(recipe_of(DESIGN, cell)))
     stored = folder.read(cell, ("q_table", "returns", "lengths", "seed"))
     model = TabularQ(
         "MlpPolicy", ordinary_environment(cell.system), method=cell.method, total_episodes=30, seed=stored["seed"]
@@ -107,14 +107,14 @@ def test_cells_are_all_combinations_run_by_run() -> None:
 
 def test_stored_cell_is_found(folder: StudyFolder, content: bytes) -> None:
     assert not folder.has(LAKE)
-    folder.store(LAKE, content)
+    write_atomically(folder.path_of(LAKE), content)
     assert folder.has(LAKE)
     assert warnings_of_folder == []
 
 
 @pytest.mark.parametrize("change", [{"gamma": 0.9}, {"seed": 1}, {"episodes": 31}, {"beta_6": 0.001}, {"next_action": "max"}])
 def test_cell_of_other_settings_is_refused(folder: StudyFolder, content: bytes, change: dict[str, object]) -> None:
-    folder.store(LAKE, content)
+    write_atomically(folder.path_of(LAKE), content)
     other = StudyFolder(folder.path, StudySettings.from_data({**DESIGN.as_data(), **change}), warn=warnings_of_folder.append)
     with pytest.raises(DesignError, match="study of other settings"):
         other.has(LAKE)
@@ -122,14 +122,14 @@ def test_cell_of_other_settings_is_refused(folder: StudyFolder, content: bytes, 
 
 
 def test_cell_under_the_name_of_another_is_refused(folder: StudyFolder, content: bytes) -> None:
-    folder.store(Cell("FrozenLake-v1", 1, 0), content)
+    write_atomically(folder.path_of(Cell("FrozenLake-v1", 1, 0)), content)
     with pytest.raises(DesignError, match="method is 7 there, 1 here"):
         folder.has(Cell("FrozenLake-v1", 1, 0))
 
 
 def test_damaged_file_is_named_and_set_aside_every_time(folder: StudyFolder, content: bytes) -> None:
     for name in ("run-00001.corrupt", "run-00001.corrupt-2"):
-        folder.store(LAKE, content[:-20])
+        write_atomically(folder.path_of(LAKE), content[:-20])
         assert not folder.has(LAKE)
         path = folder.path_of(LAKE)
         assert str(path) in warnings_of_folder[-1] and name in warnings_of_folder[-1]
@@ -146,13 +146,13 @@ def test_no_changed_bit_goes_unnoticed_into_the_values(
     damaged = bytearray(content)
     damaged[position] ^= 1 << data.draw(st.integers(0, 7))
     folder = StudyFolder(tmp_path_factory.mktemp("study"), DESIGN, warn=lambda text: None)
-    folder.store(LAKE, bytes(damaged))
+    write_atomically(folder.path_of(LAKE), bytes(damaged))
     try:
         if not folder.has(LAKE):
             return
     except DesignError:  # the bit was in the settings, and the digest did not hide it
         return
     values = folder.read(LAKE, SCHEMA.names)
-    folder.store(LAKE, content)
+    write_atomically(folder.path_of(LAKE), content)
     expected = folder.read(LAKE, SCHEMA.names)
     assert all(np.array_equal(values[name], expected[name]) for name in expected)

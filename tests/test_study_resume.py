@@ -205,7 +205,7 @@ def test_full_disk_ends_the_study_with_whole_files_only(
 
     def fail_from_the_sixth_on(descriptor: int) -> None:
         calls.append(descriptor)
-        if len(calls) >= 6:  # a file and its folder for the design and for the first cell, then the second cell
+        if len(calls) >= 6:  # the design and the first cell, each with its folder, and the second cell
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         fsync(descriptor)
 

@@ -1,5 +1,6 @@
 """Where cells are run: processes of this machine, or the workers of a Dask cluster."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -23,10 +24,12 @@ class Workers:
     """
     :param executor: what takes the cells
     :param count: tells how many cells can run at the same time, which changes as a cluster grows or shrinks
+    :param are_local: whether they see the files of this machine
     """
 
     executor: Executor
     count: Callable[[], int]
+    are_local: bool
 
 
 @contextmanager
@@ -38,8 +41,13 @@ def local_workers(count: int | None) -> Iterator[Workers]:
     :return: the workers, until the context ends
     """
     number = count or _available_cores()
-    with ProcessPoolExecutor(number, initializer=_begin_worker) as executor:
-        yield Workers(executor, lambda: number)
+    # A forked process would else tidy up what this one has left lying about: the sockets of a Dask client, for instance
+    gc.freeze()
+    try:
+        with ProcessPoolExecutor(number, initializer=_begin_worker) as executor:
+            yield Workers(executor, lambda: number, are_local=True)
+    finally:
+        gc.unfreeze()
 
 
 @contextmanager
@@ -62,7 +70,7 @@ def dask_workers(address: str) -> Iterator[Workers]:
             f"No Dask scheduler answers at {address} ({error}): check the address and that `dask scheduler` is running."
         ) from error
     with client:
-        yield Workers(client.get_executor(), lambda: max(1, sum(client.ncores().values())))
+        yield Workers(client.get_executor(), lambda: max(1, sum(client.ncores().values())), are_local=False)
 
 
 def _available_cores() -> int:

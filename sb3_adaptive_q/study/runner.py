@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import AbstractContextManager
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
@@ -11,7 +12,7 @@ from tqdm import tqdm
 from sb3_adaptive_q.study.cells import Cell, cells_of, recipe_of, run_cell
 from sb3_adaptive_q.study.errors import StudyError
 from sb3_adaptive_q.study.executors import Workers, dask_workers, local_workers
-from sb3_adaptive_q.study.storage import StudyFolder
+from sb3_adaptive_q.study.storage import StudyFolder, commit, temporary_of, write_atomically, write_temporary
 
 #: Cells handed out for each worker: one that runs and some to go on with, while their results stay few
 CELLS_PER_WORKER = 3
@@ -49,7 +50,7 @@ class _Run:
         self.folder = folder
         self.pool = pool
         self.bar = bar
-        self.pending: dict[Future[bytes], Cell] = {}
+        self.pending: dict[Future[Any], Cell] = {}
 
     def run(self, cells: list[Cell]) -> None:
         queue = iter(cells)
@@ -67,32 +68,57 @@ class _Run:
     def _submit(self, queue: Iterator[Cell]) -> None:
         room = CELLS_PER_WORKER * self.pool.count() - len(self.pending)
         for cell in islice(queue, max(room, 0)):
-            recipe = recipe_of(self.folder.settings, cell)
             try:
-                self.pending[self.pool.executor.submit(run_cell, recipe)] = cell
+                self.pending[self._begin(cell)] = cell
             except (BrokenExecutor, RuntimeError) as error:
                 raise _worker_died(error) from error
 
-    def _store(self, future: "Future[bytes]") -> None:
+    def _begin(self, cell: Cell) -> "Future[Any]":
+        recipe = recipe_of(self.folder.settings, cell)
+        if self.pool.are_local:
+            return self.pool.executor.submit(run_cell_to_file, recipe, temporary_of(self.folder.path_of(cell)))
+        return self.pool.executor.submit(run_cell, recipe)
+
+    def _store(self, future: "Future[Any]") -> None:
         cell = self.pending.pop(future)
         try:
             content = future.result()
         except BrokenExecutor as error:
             raise _worker_died(error) from error
+        except StudyError:
+            raise
         except CancelledError as error:
             raise StudyError(f"The cluster dropped {cell}: is its scheduler still running? Start again to go on.") from error
         except Exception as error:
             raise StudyError(f"{cell} failed: {type(error).__name__}: {error}") from error
-        self.folder.store(cell, content)
+        path = self.folder.path_of(cell)
+        if self.pool.are_local:
+            commit(temporary_of(path), path)
+        else:
+            write_atomically(path, content)
         self.bar.update()
 
     def _give_up(self) -> None:
         """Call back the cells that have not begun, wait for the others, and keep them."""
         running = {future: cell for future, cell in self.pending.items() if not future.cancel()}
         wait(running)
-        for future in running:
-            if future.exception() is None:
-                self._store(future)
+        try:
+            for future in running:
+                if future.exception() is None:
+                    self._store(future)
+        finally:
+            self.folder.remove_leftovers()
+
+
+def run_cell_to_file(recipe: dict[str, Any], temporary: Path) -> None:
+    """
+    What a worker of this machine does. It hands the cell over in a file: one that is killed while it sends a long result
+    would leave the pool waiting for the rest for ever.
+
+    :param recipe: what decides a cell
+    :param temporary: where to write it
+    """
+    write_temporary(temporary, run_cell(recipe))
 
 
 def _worker_died(error: Exception) -> StudyError:

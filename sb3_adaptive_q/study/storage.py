@@ -3,7 +3,8 @@
 import json
 import os
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,21 +31,58 @@ def write_atomically(path: Path, content: bytes) -> None:
     :param content: what
     :raises StudyError: if it cannot be written; nothing of it is left then
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
+    temporary = temporary_of(path)
+    write_temporary(temporary, content)
+    commit(temporary, path)
+
+
+def temporary_of(path: Path) -> Path:
+    """
+    :param path: of a file that is to be written
+    :return: where to write it before it is whole; the name tells the process that wants it
+    """
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def write_temporary(temporary: Path, content: bytes) -> None:
+    """
+    The first half of :func:`write_atomically`.
+
+    :param temporary: where to write
+    :param content: what
+    :raises StudyError: if it cannot be written; nothing of it is left then
+    """
+    with _nothing_left(temporary):
+        temporary.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+
+
+def commit(temporary: Path, path: Path) -> None:
+    """
+    The second half of :func:`write_atomically`.
+
+    :param temporary: a file that was written
+    :param path: the name that it is to have from now on
+    :raises StudyError: if it cannot be secured on the disk; nothing of it is left then
+    """
+    with _nothing_left(temporary):
+        with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
         _sync_folder(path.parent)
+
+
+@contextmanager
+def _nothing_left(temporary: Path) -> Iterator[None]:
+    try:
+        yield
     except BaseException as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
         if isinstance(error, OSError):
             raise StudyError(
-                f"Cannot write {path}: {error.strerror or error}. What was stored before is whole: make room or choose "
-                "another output folder, and start again to go on."
+                f"Cannot write to {temporary.parent}: {error.strerror or error}. What was stored before is whole: make room "
+                "or choose another output folder, and start again to go on."
             ) from error
         raise
 
@@ -82,7 +120,7 @@ class StudyFolder:
             self._check_design(design)
         elif self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
             raise DesignError(f"{self.path} is no empty folder and holds no study: choose another output folder.")
-        self._remove_leftovers()
+        self.remove_leftovers()
         data = {**self.settings.as_data(), "versions": _versions()}
         write_atomically(design, yaml.safe_dump(data, sort_keys=False, allow_unicode=True).encode())
 
@@ -92,13 +130,6 @@ class StudyFolder:
         :return: its file
         """
         return self.path / "cells" / file_name(cell.system) / f"method-{cell.method}" / f"run-{cell.run:05d}.parquet"
-
-    def store(self, cell: Cell, content: bytes) -> None:
-        """
-        :param cell: a cell of the study
-        :param content: what :func:`~sb3_adaptive_q.study.cells.run_cell` made of it
-        """
-        write_atomically(self.path_of(cell), content)
 
     def has(self, cell: Cell) -> bool:
         """
@@ -163,7 +194,8 @@ class StudyFolder:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         self.warn(f"{path} is damaged ({reason}): it is kept as {aside.name}, and its cell is run again.")
 
-    def _remove_leftovers(self) -> None:
+    def remove_leftovers(self) -> None:
+        """Remove what was being written when a study in this folder was killed, or one of its workers."""
         for path in self.path.rglob(".*.tmp"):
             owner = path.name.split(".")[-2]
             if owner.isdecimal() and (int(owner) == os.getpid() or not psutil.pid_exists(int(owner))):

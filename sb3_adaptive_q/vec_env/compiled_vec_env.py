@@ -71,6 +71,8 @@ class CompiledEnv:
         limit, discretizer = self.layers.limit, self.layers.discretizer
         self.max_episode_steps = limit._max_episode_steps if limit else NO_LIMIT
         self.dynamics = _dynamics_of(self.unwrapped)(self.unwrapped, Grid.of(discretizer) if discretizer else None)
+        self._left: tuple[Any, Any, Any] | None = None
+        self._rewards: list[float] = []
 
     def is_like(self, other: "CompiledEnv") -> bool:
         """
@@ -109,8 +111,27 @@ class CompiledEnv:
         monitor = self.layers.monitor
         if monitor is not None:
             # A Monitor adds up and counts these at the episode's end; single rewards are not kept
-            monitor.rewards = [episode_return, *[0.0] * (length - 1)] if length else []
+            rewards = self._rewards
+            del rewards[length:]
+            rewards.extend([0.0] * (length - len(rewards)))
+            rewards[:1] = [episode_return] * min(length, 1)
+            monitor.rewards = rewards
             monitor.total_steps += n_steps
+        self._left = self._place()
+
+    def was_moved(self) -> bool:
+        """
+        :return: whether somebody else, a callback for instance, has stepped, reset or seeded the environment since
+            :meth:`put`
+        """
+        if self._left is None:
+            return True
+        state, generator, rewards = self._place()
+        return state != self._left[0] or generator is not self._left[1] or rewards is not self._left[2]
+
+    def _place(self) -> tuple[Any, Any, Any]:
+        monitor = self.layers.monitor
+        return self.dynamics.read_state(), self.unwrapped.np_random, None if monitor is None else monitor.rewards
 
     @property
     def seconds(self) -> float | None:
@@ -159,5 +180,10 @@ def _peel_completely(env: gym.Env) -> Layers:
             f"CompiledVecEnv cannot compile the wrapper {layers.inner.class_name()} at its place: it compiles a Monitor, "
             "a DiscretizeObservation around or inside it, a TimeLimit inside them and gymnasium's own checks innermost. "
             "Use LeanVecEnv, which works with everything."
+        )
+    if layers.monitor is not None and layers.monitor.info_keywords:
+        raise ValueError(
+            f"Compiled environments make no infos, but the Monitor asks for {layers.monitor.info_keywords} of them: use "
+            "LeanVecEnv, which works with everything."
         )
     return layers

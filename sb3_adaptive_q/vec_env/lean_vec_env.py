@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 from copy import deepcopy
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from stable_baselines3.common.vec_env import DummyVecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
@@ -27,16 +27,21 @@ class LeanVecEnv(DummyVecEnv):
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         super().__init__(env_fns)
         self._steps = [layered_step(env) for env in self.envs]
-        self._scalar_actions = isinstance(self.action_space, spaces.Discrete)
         #: The buffer of observations, where these are not a dict or a tuple of arrays
         self._only_array: np.ndarray | None = self.buf_obs.get(None)  # type: ignore[call-overload]
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_steps"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # A copy steps its own environments, not those of the original
+        self._steps = [layered_step(env) for env in self.envs]
+
     def step_wait(self) -> VecEnvStepReturn:
-        # A plain int indexes a transition table twice as fast as a NumPy scalar does
-        actions = np.asarray(self.actions).tolist() if self._scalar_actions else self.actions
         rewards, dones, infos = self.buf_rews, self.buf_dones, []
         for i, step in enumerate(self._steps):
-            observation, rewards[i], terminated, truncated, info = step(actions[i])
+            observation, rewards[i], terminated, truncated, info = step(self.actions[i])
             dones[i] = done = terminated or truncated
             info["TimeLimit.truncated"] = truncated and not terminated
             if done:
