@@ -1,6 +1,7 @@
 """Independent learners side by side."""
 
 import os
+import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -31,11 +32,24 @@ def learn_many(
     if workers is not None and workers < 1:
         raise ValueError(f"`workers` must be at least 1, or None for the number of cores, but got {workers}.")
 
-    def learn(model: TabularQ) -> TabularQ:
-        return model.learn(total_timesteps, log_interval=log_interval, reset_num_timesteps=reset_num_timesteps)
+    stop = threading.Event()
 
-    with ThreadPoolExecutor(workers or _count_cores()) as executor:
+    def learn(model: TabularQ) -> TabularQ:
+        return model.learn(
+            total_timesteps,
+            callback=lambda _locals, _globals: not stop.is_set(),
+            log_interval=log_interval,
+            reset_num_timesteps=reset_num_timesteps,
+        )
+
+    executor = ThreadPoolExecutor(workers or _count_cores())
+    try:
         return list(executor.map(learn, models))
+    except BaseException:
+        stop.set()  # an interrupt, or an error in one model, ends the others with their stretch
+        raise
+    finally:
+        executor.shutdown(cancel_futures=True)
 
 
 def _check_independence(models: Sequence[TabularQ]) -> None:
