@@ -22,6 +22,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_adaptive_q import METHODS, CompiledVecEnv, LearningRateCallback, TabularQ
+from sb3_adaptive_q.fused import make_compilable
+from sb3_adaptive_q.vec_env.dynamics import Grid, find_dynamics
 from wrappers import DiscretizeObservation
 
 LAKE = "slippery lake"
@@ -295,3 +297,34 @@ class TestStatesOfCartPole:
         model = make_model(name, True, callback_interval=1, method=2, initial_q=20.0, exploration_fraction=0.5)
         model.learn(10_000, callback=callback, log_interval=None)
         assert callback.n_resets > 100 and callback.largest > 0.3
+
+    @pytest.mark.parametrize("name", ["CartPole", "CartPoleFriction"])
+    def test_from_states_far_and_wide(self, name):
+        """Faster and more askew than learning comes to be, where a changed order of operations shows in the last bits."""
+        env = CompiledVecEnv([lambda: make_env(name)]).envs[0].unwrapped
+        dynamics = find_dynamics(env)(env, Grid.of(DiscretizeObservation(env, **CELLS)))
+        make_compilable(dynamics.step)
+        step = numba.njit(dynamics.step)
+
+        @numba.njit
+        def step_all(parameters, states, actions, generator):
+            ends, rewards = np.empty_like(states), np.empty(len(states))
+            for i in range(len(states)):
+                state = (states[i, 0], states[i, 1], states[i, 2], states[i, 3])
+                end, rewards[i], _ = step(parameters, state, actions[i], generator)
+                ends[i, 0], ends[i, 1], ends[i, 2], ends[i, 3] = end
+            return ends, rewards
+
+        generator = np.random.default_rng(1)
+        states = generator.normal(0.0, [1.5, 2.0, 0.15, 3.0], (60_000, 4))
+        actions = generator.integers(2, size=len(states))
+        ends, rewards = step_all(dynamics.parameters, states, actions, generator)
+        env.reset(seed=0)
+        expected, expected_rewards = np.empty_like(states), np.empty(len(states))
+        for i, (state, action) in enumerate(zip(states, actions.tolist(), strict=True)):
+            env.state, env.steps_beyond_terminated = state, None
+            expected_rewards[i] = env.step(action)[1]
+            expected[i] = env.state
+        np.testing.assert_allclose(ends, expected, rtol=0.0, atol=0.0 if ONE_SINE else 1e-12)
+        np.testing.assert_array_equal(rewards, expected_rewards)
+        assert len(np.unique(rewards)) == (2 if name == "CartPoleFriction" else 1)
