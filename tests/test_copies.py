@@ -1,0 +1,70 @@
+"""Copies of models and of vectorised environments learn on their own, and as the original would."""
+
+import copy
+import pickle
+
+import cloudpickle
+import numpy as np
+import pytest
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
+
+LAKE = "FrozenLake-v1"
+
+
+@pytest.mark.parametrize("vec_env_cls", [LeanVecEnv, CompiledVecEnv])
+def test_a_copied_vec_env_steps_its_own_environments(vec_env_cls):
+    env = make_vec_env(LAKE, env_kwargs={"is_slippery": False}, vec_env_cls=vec_env_cls)
+    env.reset()
+    twin = copy.deepcopy(env)
+    twin.reset()
+    for _ in range(2):
+        twin.step(np.array([2]))
+    assert twin.envs[0].unwrapped.s == 2
+    assert env.envs[0].unwrapped.s == 0
+
+
+@pytest.mark.parametrize("vec_env_cls", [LeanVecEnv, CompiledVecEnv])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda model: cloudpickle.loads(cloudpickle.dumps(model))])
+def test_a_copied_model_learns_on_as_the_original(vec_env_cls, duplicate):
+    model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=vec_env_cls), method=7, seed=0).learn(2000)
+    twin = duplicate(model)
+    assert twin.mu == model.mu
+    before = model.q_table.copy()
+    twin.learn(2000, reset_num_timesteps=False)
+    np.testing.assert_array_equal(model.q_table, before)
+    model.learn(2000, reset_num_timesteps=False)
+    np.testing.assert_array_equal(twin.q_table, model.q_table)
+    assert twin.mu == model.mu
+
+
+def test_a_lean_vec_env_can_be_pickled():
+    env = LeanVecEnv([lambda: __import__("gymnasium").make(LAKE)])
+    assert pickle.loads(pickle.dumps(env)).reset().shape == (1,)
+
+
+class ResetOnTheWay(BaseCallback):
+    """Moves the environment behind the agent's back."""
+
+    def _on_step(self):
+        if self.num_timesteps == 1000:
+            self.training_env.env_method("reset", seed=5)
+        return True
+
+
+def test_a_callback_that_moves_the_environment_moves_the_compiled_one():
+    tables = []
+    for vec_env_cls in (LeanVecEnv, CompiledVecEnv):
+        env = make_vec_env(LAKE, vec_env_cls=vec_env_cls)
+        model = TabularQ("MlpPolicy", env, method=7, seed=0, callback_interval=100).learn(5000, callback=ResetOnTheWay())
+        tables.append(model.q_table)
+    np.testing.assert_array_equal(*tables)
+
+
+def test_a_replaced_method_starts_from_its_own_rate(tmp_path):
+    TabularQ("MlpPolicy", LAKE, method=2).save(tmp_path / "model")
+    assert TabularQ.load(tmp_path / "model").mu == 0.05
+    assert TabularQ.load(tmp_path / "model", method=7).mu == 0.01
+    assert TabularQ.load(tmp_path / "model", learning_rate=0.5).mu == 0.5
