@@ -13,7 +13,7 @@ from sb3_adaptive_q.study.study import run_study
 
 SETTINGS = tuple(field.name for field in fields(StudySettings))
 #: How a study is carried out, which makes no difference to what it gives
-EXECUTION: dict[str, Any] = {"output": "study", "workers": None, "dask": None, "tensorboard": None}
+EXECUTION: dict[str, Any] = {"output": "study-results", "workers": None, "dask": None, "tensorboard": None}
 
 
 def main(arguments: list[str] | None = None) -> int:

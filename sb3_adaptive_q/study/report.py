@@ -117,7 +117,7 @@ def _pair_row(pair: Pair) -> list[str]:
     first, second, difference, p_value, improvement = pair
     if difference < 0:
         first, second, difference, improvement = second, first, -difference, 1.0 - improvement
-    numbers = [f"{difference:.3g}", _p_value(p_value).removeprefix("p = "), f"{improvement:.2f}"]
+    numbers = [f"{difference:.3g}", _p_value(p_value).removeprefix("p ").removeprefix("= "), f"{improvement:.2f}"]
     return [f"Method {first}", f"Method {second}", *numbers]
 
 
