@@ -17,12 +17,11 @@ from benchmarks.bare_loops import (
     GAMMA,
     INLINED,
     LAKE_STEPS,
-    N_EDGES,
-    POLE_BOUNDS,
     POLE_STEPS,
     RULES,
     lake_arrays,
 )
+from benchmarks.grid import N_EDGES, POLE_BOUNDS
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 FIRST, SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

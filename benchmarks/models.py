@@ -4,7 +4,7 @@ import gymnasium as gym
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
-from benchmarks.bare_loops import N_EDGES, POLE_BOUNDS
+from benchmarks.grid import N_EDGES, POLE_BOUNDS
 from sb3_adaptive_q import CompiledVecEnv, TabularQ
 from wrappers import DiscretizeObservation
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from stable_baselines3 import DQN
 
-from benchmarks.bare_loops import N_EDGES, POLE_BOUNDS
+from benchmarks.grid import N_EDGES, POLE_BOUNDS
 from benchmarks.measure import Contestant, Row, Times, measure, print_rows, speed_ratio
 from benchmarks.models import PlainCallback, discretize
 from sb3_adaptive_q import TabularQ

@@ -11,8 +11,9 @@ import pytest
 
 from sb3_adaptive_q import TabularQ
 from sb3_adaptive_q.study import DesignError, StudySettings
+from sb3_adaptive_q.study.atomic import write_atomically
 from sb3_adaptive_q.study.cells import SCHEMA, Cell, cells_of, recipe_of, run_cell, seed_of
-from sb3_adaptive_q.study.storage import StudyFolder, write_atomically
+from sb3_adaptive_q.study.storage import StudyFolder
 from wrappers import DiscretizeObservation
 
 DESIGN = StudySettings(runs=2, episodes=30, methods=(1, 7))

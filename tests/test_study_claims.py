@@ -8,9 +8,10 @@ from sb3_adaptive_q import METHODS
 from sb3_adaptive_q.study import StudySettings
 from sb3_adaptive_q.study.claims import Claim, judge, judge_claims, paper_claims
 from sb3_adaptive_q.study.paper_data import inconsistencies, paper_table
+from sb3_adaptive_q.study.q_tables import lake_table
 from sb3_adaptive_q.study.report import write_report
 from sb3_adaptive_q.study.results import Results, _Sums
-from sb3_adaptive_q.study.tables import lake_table, results_markdown, results_table, table_files
+from sb3_adaptive_q.study.tables import results_markdown, results_table, table_files
 
 POLE, LAKE = "CartPoleFriction-v0", "FrozenLake-v1"
 RUNS = 20

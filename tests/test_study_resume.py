@@ -16,9 +16,9 @@ import psutil
 import pytest
 import yaml
 
-from sb3_adaptive_q.study import StudyError, StudySettings, figures, run_study, storage
+from sb3_adaptive_q.study import StudyError, StudySettings, atomic, figures, run_study
+from sb3_adaptive_q.study.atomic import write_atomically
 from sb3_adaptive_q.study.command_line import main
-from sb3_adaptive_q.study.storage import write_atomically
 
 PROJECT = Path(__file__).resolve().parent.parent
 #: 24 cells of some 30 ms each: time enough to be hit in the middle
@@ -211,7 +211,7 @@ def test_full_disk_ends_the_study_with_whole_files_only(
         fsync(descriptor)
 
     with monkeypatch.context() as patch:
-        patch.setattr(storage.os, "fsync", fail_from_the_sixth_on)
+        patch.setattr(atomic.os, "fsync", fail_from_the_sixth_on)
         assert main([*SMALL_OPTIONS, "--output", str(folder)]) == 1
     assert "No space left on device" in capsys.readouterr().err
     assert len(cell_files(folder)) in (1, 2) and leftovers(folder) == []

@@ -4,19 +4,13 @@ import numpy as np
 
 from sb3_adaptive_q.study import paper_data
 from sb3_adaptive_q.study.claims import Judgement, judge_claims
+from sb3_adaptive_q.study.markdown import format_estimate, format_number, markdown_table
+from sb3_adaptive_q.study.q_tables import q_value_tables
 from sb3_adaptive_q.study.results import Results
 from sb3_adaptive_q.study.settings import PRESETS, StudySettings
 from sb3_adaptive_q.study.statistics import Pair, compare_pairs, friedman, interquartile_mean, probability_best
 from sb3_adaptive_q.study.systems import PAPER_SYSTEMS, title_of
-from sb3_adaptive_q.study.tables import (
-    NOTE,
-    format_estimate,
-    format_number,
-    markdown_table,
-    q_value_tables,
-    results_markdown,
-    results_table,
-)
+from sb3_adaptive_q.study.tables import NOTE, results_markdown, results_table
 
 METHOD_NOTE = (
     "A claim about means holds if Mann-Whitney tests of all pairs, corrected after Holm at the 5% level, set the method "

@@ -9,10 +9,11 @@ from typing import Any
 
 from tqdm import tqdm
 
+from sb3_adaptive_q.study.atomic import commit, temporary_of, write_atomically, write_temporary
 from sb3_adaptive_q.study.cells import Cell, cells_of, recipe_of, run_cell
 from sb3_adaptive_q.study.errors import StudyError
 from sb3_adaptive_q.study.executors import Workers, dask_workers, local_workers
-from sb3_adaptive_q.study.storage import StudyFolder, commit, temporary_of, write_atomically, write_temporary
+from sb3_adaptive_q.study.storage import StudyFolder
 
 #: Cells handed out for each worker: one that runs and some to go on with, while their results stay few
 CELLS_PER_WORKER = 3

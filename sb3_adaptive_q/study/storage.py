@@ -3,8 +3,7 @@
 import json
 import os
 import platform
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
+from sb3_adaptive_q.study.atomic import write_atomically
 from sb3_adaptive_q.study.cells import DIGEST, RECIPE, SCHEMA, Cell, digest_of, recipe_of
 from sb3_adaptive_q.study.errors import DesignError, StudyError
 from sb3_adaptive_q.study.settings import SELECTION, StudySettings, read_design
@@ -21,80 +21,6 @@ from sb3_adaptive_q.study.systems import file_name
 
 DESIGN_FILE = "study.yml"
 LIBRARIES = ("sb3-adaptive-q", "stable_baselines3", "gymnasium", "numpy", "numba", "torch", "scipy", "pandas", "pyarrow")
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """
-    Write a file so that at every moment, a power cut included, it is there whole or as it was before.
-
-    :param path: where; missing folders are made
-    :param content: what
-    :raises StudyError: if it cannot be written; nothing of it is left then
-    """
-    temporary = temporary_of(path)
-    write_temporary(temporary, content)
-    commit(temporary, path)
-
-
-def temporary_of(path: Path) -> Path:
-    """
-    :param path: of a file that is to be written
-    :return: where to write it before it is whole; the name tells the process that wants it
-    """
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
-
-
-def write_temporary(temporary: Path, content: bytes) -> None:
-    """
-    The first half of :func:`write_atomically`.
-
-    :param temporary: where to write
-    :param content: what
-    :raises StudyError: if it cannot be written; nothing of it is left then
-    """
-    with _nothing_left(temporary):
-        temporary.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-
-
-def commit(temporary: Path, path: Path) -> None:
-    """
-    The second half of :func:`write_atomically`.
-
-    :param temporary: a file that was written
-    :param path: the name that it is to have from now on
-    :raises StudyError: if it cannot be secured on the disk; nothing of it is left then
-    """
-    with _nothing_left(temporary):
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        _sync_folder(path.parent)
-
-
-@contextmanager
-def _nothing_left(temporary: Path) -> Iterator[None]:
-    try:
-        yield
-    except BaseException as error:
-        with suppress(OSError):
-            temporary.unlink()
-        if isinstance(error, OSError):
-            raise StudyError(
-                f"Cannot write to {temporary.parent}: {error.strerror or error}. What was stored before is whole: make room "
-                "or choose another output folder, and start again to go on."
-            ) from error
-        raise
-
-
-def _sync_folder(folder: Path) -> None:
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 class StudyFolder:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from sb3_adaptive_q.study.atomic import write_atomically
 from sb3_adaptive_q.study.runner import run_missing_cells
 from sb3_adaptive_q.study.settings import StudySettings
-from sb3_adaptive_q.study.storage import StudyFolder, write_atomically
+from sb3_adaptive_q.study.storage import StudyFolder
 from sb3_adaptive_q.study.systems import check_system
 
 
