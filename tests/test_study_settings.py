@@ -94,7 +94,7 @@ def test_yaml_gives_back_the_settings(data: dict[str, object]) -> None:
         (["--methods", "9"], "Unknown method 9"),
         (["--methods", "1", "1"], "must not repeat"),
         (["--systems", "Nonsense-v0"], "Unknown system 'Nonsense-v0'"),
-        (["--systems", "MountainCar-v0"], "cannot compile"),
+        (["--systems", "Acrobot-v1"], "cannot compile"),
         (["--preset", "table9"], "literal, table8"),
         (["--next-action", "best"], "same, next, max"),
         (["--runs", "0"], "runs must be at least 1"),
