@@ -42,19 +42,20 @@ class FunctionSet:
         return source_digest(*self.functions.values()) + "-".join(getattr(self.container, "_fields", ()))
 
 
-def compile_cached(function: Callable[..., Any]) -> Any:
+def compile_cached(function: Callable[..., Any], nogil: bool) -> Any:
     """
-    Compile a function without the interpreter lock, and keep the machine code on disk where there is a place for it.
+    Compile a function, and keep the machine code on disk where there is a place for it.
 
     :param function: a function of the part of Python that Numba compiles
+    :param nogil: whether it gives the interpreter lock away
     :return: its compiled form
     """
     from numba import njit
 
     try:
-        return njit(function, nogil=True, cache=True)
+        return njit(function, nogil=nogil, cache=True)
     except RuntimeError:  # a read-only installation and no home directory: Numba finds no place for its cache
-        return njit(function, nogil=True)
+        return njit(function, nogil=nogil)
 
 
 def source_digest(*functions: Callable[..., Any]) -> str:

@@ -2,125 +2,26 @@
 The fused loop: an environment's dynamics and the functions of :mod:`sb3_adaptive_q.kernels`, compiled into one.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
-from numba.extending import NativeValue, models, overload, register_jitable, register_model, typeof_impl, unbox
+from numba.extending import overload
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from sb3_adaptive_q import kernels
-from sb3_adaptive_q.compilation import FunctionSet, compile_cached, helpers_of, source_digest
+from sb3_adaptive_q.compilation import compile_cached
+from sb3_adaptive_q.function_set_type import INLINED, container_of, make_compilable
 from sb3_adaptive_q.vec_env.dynamics import RATE_OUT_OF_RANGE, SOUND
-
-INLINED: Any = {"forceinline": True}
-
-_functions: dict[tuple[str, str], dict[str, Callable[..., Any]]] = {}
-_containers: dict[tuple[str, str], type] = {}
-_compilable: set[Any] = {kernels.next_rate}  # overloaded below
-
-
-class FunctionSetType(types.Opaque):
-    """The Numba type of a :class:`FunctionSet`: its identity, and nothing at run time."""
-
-    def __init__(self, identity: tuple[str, str]) -> None:
-        self.identity = identity
-        super().__init__(name=f"FunctionSet{identity}")
-
-    @property
-    def key(self) -> tuple[str, str]:
-        return self.identity
-
-
-register_model(FunctionSetType)(models.OpaqueModel)
-
-
-@typeof_impl.register(FunctionSet)
-def _type_of_function_set(value: FunctionSet, context: Any) -> FunctionSetType:
-    identity = (value.name, f"{value.digest}-{_loop_digest}")
-    if identity not in _functions:
-        _functions[identity] = value.functions
-        _containers[identity] = value.container
-        for function in value.functions.values():
-            make_compilable(function)
-    return FunctionSetType(identity)
-
-
-@unbox(FunctionSetType)
-def _unbox_function_set(numba_type: Any, value: Any, context: Any) -> NativeValue:
-    return NativeValue(context.context.get_dummy_value())
-
-
-def make_compilable(function: Callable[..., Any]) -> None:
-    """
-    Let compiled code call a plain function, and whatever plain functions that one calls.
-
-    :param function: a function of the subset of Python that Numba knows
-    """
-    for helper in helpers_of(function):
-        if helper not in _compilable:
-            _compilable.add(helper)
-            register_jitable(**INLINED)(helper)
-
-
-def reset_environment(dynamics, parameters, generator):
-    """``dynamics.reset``: draw an episode's first state."""
-    return dynamics.reset(parameters, generator)
-
-
-def step_environment(dynamics, parameters, state, action, generator):
-    """``dynamics.step``: (next state, reward, whether it is terminal)."""
-    return dynamics.step(parameters, state, action, generator)
-
-
-def index_environment(dynamics, parameters, state):
-    """``dynamics.index``: the row of the table that a state of the environment belongs to."""
-    return dynamics.index(parameters, state)
-
-
-@overload(kernels.next_rate, jit_options=INLINED)
-def _next_rate(rule, parameters, mu, transition):
-    function = _functions[rule.key]["function"]
-    return lambda rule, parameters, mu, transition: function(mu, transition, *parameters)
-
-
-@overload(reset_environment, jit_options=INLINED)
-def _reset_environment(dynamics, parameters, generator):
-    function = _functions[dynamics.key]["reset"]
-    return lambda dynamics, parameters, generator: function(parameters, generator)
-
-
-@overload(step_environment, jit_options=INLINED)
-def _step_environment(dynamics, parameters, state, action, generator):
-    function = _functions[dynamics.key]["step"]
-    return lambda dynamics, parameters, state, action, generator: function(parameters, state, action, generator)
-
-
-@overload(index_environment, jit_options=INLINED)
-def _index_environment(dynamics, parameters, state):
-    function = _functions[dynamics.key]["index"]
-    return lambda dynamics, parameters, state: function(parameters, state)
-
-
-def flaw_of_transition(dynamics, next_index, start_index, reward, n_states):
-    """``dynamics.flaw``: what forbids learning from a transition, or ``SOUND``."""
-    return dynamics.flaw(next_index, start_index, reward, n_states)
 
 
 def name_parameters(dynamics, parameters):
     """The parameters as the named tuple that the dynamics expect; by name, so that the disk cache needs no user's class."""
 
 
-@overload(flaw_of_transition, jit_options=INLINED)
-def _flaw_of_transition(dynamics, next_index, start_index, reward, n_states):
-    function = _functions[dynamics.key]["flaw"]
-    return lambda dynamics, next_index, start_index, reward, n_states: function(next_index, start_index, reward, n_states)
-
-
 @overload(name_parameters, jit_options=INLINED)
 def _name_parameters(dynamics, parameters):
-    container = _containers[dynamics.key]
+    container = container_of(dynamics)
     if container is tuple:
         return lambda dynamics, parameters: parameters
     return lambda dynamics, parameters: container(*parameters)
@@ -158,12 +59,6 @@ def _store_state(states, i, state):
         states[i, 0] = state
 
     return store_number
-
-
-_PLAIN_FUNCTIONS = (kernels.learn_transition, kernels.progress_made, kernels.exploration_rate, kernels.record_update)
-_loop_digest = source_digest(*_PLAIN_FUNCTIONS)
-for _function in _PLAIN_FUNCTIONS:
-    make_compilable(_function)
 
 
 class Lanes(NamedTuple):
@@ -237,14 +132,12 @@ class Counters(NamedTuple):
     :param epsilon: ε in force
     :param progress: the part of the training that is done
     :param n_episodes: finished episodes whose last transition has been learned
-    :param num_timesteps: environment steps taken
     """
 
     mu: float
     epsilon: float
     progress: float
     n_episodes: int
-    num_timesteps: int
 
 
 def load_lane(lanes, i, template):
@@ -275,14 +168,14 @@ def advance_lane(dynamics, parameters, generator, max_episode_steps, lane):
 
     :return: the lane after it; its length and return are still those of the episode that the step belongs to
     """
-    state, reward, terminated = step_environment(dynamics, parameters, lane.state, lane.action, generator)
-    next_index = index_environment(dynamics, parameters, state)
+    state, reward, terminated = dynamics.step(parameters, lane.state, lane.action, generator)
+    next_index = dynamics.index(parameters, state)
     length = lane.length + 1
     done = terminated or length >= max_episode_steps
     start_index = next_index
     if done:
-        state = reset_environment(dynamics, parameters, generator)
-        start_index = index_environment(dynamics, parameters, state)
+        state = dynamics.reset(parameters, generator)
+        start_index = dynamics.index(parameters, state)
     episode_return = lane.episode_return + reward
     reward = np.float32(reward)  # as a VecEnv hands it on
     return Lane(
@@ -315,44 +208,31 @@ def record_episode(record, row, lane, i, counters):
     record.lanes[row] = i
 
 
-def learn_lane(table, generator, learner, rule, rule_parameters, counters, statistics, lane):
+def learn_lane(table, generator, learner, rule, rule_parameters, counters, statistics, num_timesteps, lane):
     """
     Learn from the lane's last transition.
 
     :return: the lane about to take its next action, the counters and the statistics
     """
-    action, mu, epsilon, progress, n_episodes, td_error = kernels.learn_transition(
-        table, generator, learner, rule, rule_parameters,
-        counters.mu, counters.epsilon, counters.progress, counters.n_episodes,
-        lane.index, lane.action, np.float64(lane.reward), lane.next_index, lane.terminated, lane.done, lane.start_index,
+    action, epsilon, progress, n_episodes, transition = kernels.learn_transition(
+        table, generator, learner, counters.mu, counters.epsilon, counters.progress, counters.n_episodes,
+        num_timesteps, lane.index, lane.action, np.float64(lane.reward), lane.next_index, lane.terminated,
+        lane.done, lane.start_index,
     )  # fmt: skip
-    statistics = kernels.record_update(statistics, counters.mu, td_error)
-    counters = Counters(mu, epsilon, progress, n_episodes, counters.num_timesteps)
+    statistics = kernels.record_update(statistics, counters.mu, transition.td_error)
+    mu = kernels.next_rate(rule, rule_parameters, learner, counters.mu, transition, lane.done)
+    counters = Counters(mu, epsilon, progress, n_episodes)
     return continue_lane(lane, action), counters, statistics
 
 
-def tick(learner, counters, n_envs):
-    """
-    Count a step of every environment, on which ε and Eqs. 5 and 6 may depend.
-
-    :return: the counters after it
-    """
-    num_timesteps = counters.num_timesteps + n_envs
-    progress, epsilon = counters.progress, counters.epsilon
-    if learner.total_episodes == 0:
-        progress = kernels.progress_made(learner, num_timesteps, 0)
-        epsilon = kernels.exploration_rate(learner, progress)
-    return Counters(counters.mu, epsilon, progress, counters.n_episodes, num_timesteps)
-
-
-for _lane_function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, learn_lane, tick):
+for _lane_function in (load_lane, store_lane, advance_lane, begin_episode, continue_lane, record_episode, learn_lane):
     make_compilable(_lane_function)
 
 
 @njit(nogil=True, _nrt=False)  # type: ignore[call-overload]  # counting references to the arrays in the loop would triple its time
 def _stretch(
     dynamics, parameters, generators, template, max_episode_steps, lanes,
-    table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
+    table, generator, learner, rule, rule_parameters, counters, statistics, num_timesteps, record, max_steps, max_episodes,
 ):  # fmt: skip
     n_envs = len(generators)  # known to the compiler, as the number of environments is part of the type
     is_single = n_envs == 1  # then the lane stays in registers
@@ -362,7 +242,7 @@ def _stretch(
         for i in range(n_envs):
             lane = lane if is_single else load_lane(lanes, i, template)
             lane = advance_lane(dynamics, parameters, generators[i], max_episode_steps, lane)
-            flaw = max(flaw, flaw_of_transition(dynamics, lane.next_index, lane.start_index, lane.reward, table.shape[0]))
+            flaw = max(flaw, dynamics.flaw(lane.next_index, lane.start_index, lane.reward, table.shape[0]))
             if lane.done:
                 record.dones[step, i] = True
                 record_episode(record, n_ended, lane, i, counters)
@@ -375,11 +255,11 @@ def _stretch(
             flaw = RATE_OUT_OF_RANGE
         if step == max_steps or n_ended >= max_episodes or flaw != SOUND:
             break
-        counters = tick(learner, counters, n_envs)
+        num_timesteps += n_envs
         for i in range(n_envs):
             lane = lane if is_single else load_lane(lanes, i, template)
             lane, counters, statistics = learn_lane(
-                table, generator, learner, rule, rule_parameters, counters, statistics, lane
+                table, generator, learner, rule, rule_parameters, counters, statistics, num_timesteps, lane
             )
             if not is_single:
                 store_lane(lanes, i, lane)
@@ -390,7 +270,7 @@ def _stretch(
 
 def _run_stretch(
     dynamics, parameters, generators, template, max_episode_steps, lanes,
-    table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
+    table, generator, learner, rule, rule_parameters, counters, statistics, num_timesteps, record, max_steps, max_episodes,
 ):  # fmt: skip
     """
     Take steps in every environment and learn from all of them but the last, until ``max_steps`` are taken or
@@ -401,8 +281,8 @@ def _run_stretch(
     # The entry from Python counts references, once; the loop does not
     return _stretch(
         dynamics, name_parameters(dynamics, parameters), generators, template, max_episode_steps, lanes,
-        table, generator, learner, rule, rule_parameters, counters, statistics, record, max_steps, max_episodes,
+        table, generator, learner, rule, rule_parameters, counters, statistics, num_timesteps, record, max_steps, max_episodes,
     )  # fmt: skip
 
 
-run_stretch = compile_cached(_run_stretch)
+run_stretch = compile_cached(_run_stretch, nogil=True)

@@ -68,7 +68,7 @@ class FusedRollout(StepRollout):
             )
         )  # fmt: skip
         new_obs = self.state_index.observations(lanes.start_indices)
-        return np.array(self.actions) + self.first_action, new_obs, lanes.rewards.copy(), dones[:n_steps], self.infos
+        return self._action_array + self.first_action, new_obs, lanes.rewards.copy(), dones[:n_steps], self.infos
 
     def finished_episodes(self) -> Episodes:
         record, end = self.record, self.n_ended
@@ -90,14 +90,15 @@ class FusedRollout(StepRollout):
     def _run(self, dones: np.ndarray, max_steps: int, max_episodes: int) -> int:
         model, lanes = self.model, self.lanes
         self._read_lanes()
-        lanes.actions[:] = self.actions
+        lanes.actions[:] = self._action_array
         lanes.indices[:] = self.states
-        counters = fused.Counters(model.mu, model.exploration_rate, self.progress, model._episode_num, model.num_timesteps)
+        counters = fused.Counters(model.mu, model.exploration_rate, self.progress, model._episode_num)
         try:
             flaw, n_steps, self.n_ended, counters, statistics = fused.run_stretch(
                 self.dynamics, self.parameters, self.generators, self.template, self.twins[0].max_episode_steps, lanes,
                 model.q_table, model._generator, self.learner, model._rule, model._rule_arguments,
-                counters, model._statistics, self.record._replace(dones=dones), max_steps, max_episodes,
+                counters, tuple(model._workspace["statistics"][0].tolist()), model.num_timesteps,
+                self.record._replace(dones=dones), max_steps, max_episodes,
             )  # fmt: skip
         except NumbaError as error:
             raise ValueError(
@@ -105,11 +106,11 @@ class FusedRollout(StepRollout):
                 "takes a constant `learning_rate`, or the rule of a LearningRateCallback in the part of Python that Numba "
                 f"knows; LeanVecEnv runs any Python function. What Numba says:\n{error}"
             ) from error
-        model._n_updates += statistics[0] - model._statistics[0]
-        model._mu[0], model.exploration_rate, self.progress, model._episode_num, _ = counters
+        model._n_updates += (n_steps - 1) * self.env.num_envs
+        model._mu[0], model.exploration_rate, self.progress, model._episode_num = counters
         model.num_timesteps += n_steps * self.env.num_envs
-        model._statistics = statistics
-        self.actions[:] = lanes.actions.tolist()
+        model._workspace["statistics"] = statistics
+        self._action_array[:] = lanes.actions
         self.states[:] = lanes.indices.tolist()
         if flaw == REWARD_NOT_FINITE:
             i = int(np.argmin(np.isfinite(lanes.rewards)))

@@ -1,8 +1,8 @@
 """
 One transition of Q-learning, as functions of scalars and a table.
 
-They are ordinary Python and run as such on the per-step path, where ``table`` is a memoryview (an element costs 25 ns
-against 45 ns in an array, a row's maximum a fifth of NumPy's). :mod:`sb3_adaptive_q.fused` compiles the same functions.
+They are ordinary Python. :mod:`sb3_adaptive_q.update` compiles them for one transition at a time,
+:mod:`sb3_adaptive_q.fused` together with an environment.
 """
 
 from typing import NamedTuple
@@ -71,7 +71,7 @@ def greedy_action(table, state, n_actions):
     """
     :param table: Q, of shape (n_states, n_actions)
     :param state: the row
-    :param n_actions: its length; a memoryview would make a tuple to tell it
+    :param n_actions: its length
     :return: the action of the largest value, the first of them in a tie
     """
     best_action = 0
@@ -87,7 +87,7 @@ def maximum_value(table, state, n_actions):
     """
     :param table: Q, of shape (n_states, n_actions)
     :param state: the row
-    :param n_actions: its length; a memoryview would make a tuple to tell it
+    :param n_actions: its length
     :return: max_a Q(s, a)
     """
     best_value = table[state, 0]
@@ -141,36 +141,37 @@ def record_update(statistics, mu, td_error):
     """
     Add an update to what the logger will show.
 
-    :param statistics: (updates, sum of μ, least μ, largest μ, sum of absolute temporal-difference errors)
+    :param statistics: (sum of μ, least μ, largest μ, sum of absolute temporal-difference errors)
     :param mu: the step size of the update
     :param td_error: its temporal-difference error
     :return: the statistics with the update
     """
-    n_updates, mu_sum, mu_min, mu_max, td_error_sum = statistics
-    # Comparisons, because a call of min or max costs the per-step path more than the rest of this line
-    mu_min = mu if mu < mu_min else mu_min
-    mu_max = mu if mu > mu_max else mu_max
-    return n_updates + 1, mu_sum + mu, mu_min, mu_max, td_error_sum + abs(td_error)
+    mu_sum, mu_min, mu_max, td_error_sum = statistics
+    return mu_sum + mu, min(mu_min, mu), max(mu_max, mu), td_error_sum + abs(td_error)
 
 
-def next_rate(rule, parameters, mu, transition):
+def next_rate(rule, parameters, learner, mu, transition, done):
     """
     :param rule: the rule in force
     :param parameters: its parameters
+    :param learner: the constants of this training
     :param mu: μ_t
     :param transition: what happened
+    :param done: whether the episode ended
     :return: μ_{t+1}
     """
+    if done and learner.reset_each_episode:
+        return learner.mu_0
     return rule.function(mu, transition, *parameters)
 
 
 def learn_transition(
-    table, generator, learner, rule, parameters, mu, epsilon, progress, n_episodes,
+    table, generator, learner, mu, epsilon, progress, n_episodes, num_timesteps,
     state, action, reward, next_state, terminated, done, reset_state,
 ):  # fmt: skip
     """
-    Learn from one transition and choose what to do next, in the paper's order: update Q with μ_t (Eq. 2), choose
-    a_{t+1}, form μ_{t+1}.
+    Learn from one transition and choose what to do next: update Q with μ_t (Eq. 2) and choose a_{t+1}. With what is
+    returned, :func:`next_rate` then forms μ_{t+1}, as in the paper.
 
     A terminal state is worth 0. At a truncation the behaviour policy picks an action there, for the rules to see,
     though it is never executed. An episode counts as finished before μ_{t+1} and the next episode's ε are formed.
@@ -178,12 +179,11 @@ def learn_transition(
     :param table: Q, of shape (n_states, n_actions); changed in place
     :param generator: the agent's own NumPy generator
     :param learner: the constants of this training
-    :param rule: the rule that forms μ_{t+1}
-    :param parameters: the rule's parameters
     :param mu: μ_t
-    :param epsilon: ε in force
-    :param progress: the part of the training that is done, t / t_max
+    :param epsilon: ε of the last action
+    :param progress: the part of the training that was done then, t / t_max
     :param n_episodes: episodes finished before this transition
+    :param num_timesteps: environment steps taken, this one and those of the other environments included
     :param state: s_t
     :param action: a_t
     :param reward: r_t
@@ -191,8 +191,11 @@ def learn_transition(
     :param terminated: whether s_{t+1} is terminal
     :param done: whether the episode ended, by termination or by truncation
     :param reset_state: the next episode's first state, where the episode ended
-    :return: (action to take next, μ_{t+1}, ε, progress, finished episodes, temporal-difference error)
+    :return: (action to take next, ε, progress, finished episodes, the transition as rules see it)
     """
+    if learner.total_episodes == 0:
+        progress = progress_made(learner, num_timesteps, 0)
+        epsilon = exploration_rate(learner, progress)
     value = table[state, action]
     best_next_value = 0.0
     if not terminated:
@@ -211,8 +214,4 @@ def learn_transition(
             progress = progress_made(learner, 0, n_episodes)
             epsilon = exploration_rate(learner, progress)
         next_action = choose_action(table, reset_state, learner.n_actions, epsilon, generator)
-
-    mu = next_rate(rule, parameters, mu, Transition(value, next_value, td_error, progress))
-    if done and learner.reset_each_episode:
-        mu = learner.mu_0
-    return next_action, mu, epsilon, progress, n_episodes, td_error
+    return next_action, epsilon, progress, n_episodes, Transition(value, next_value, td_error, progress)

@@ -24,16 +24,15 @@ from sb3_adaptive_q.callbacks import check_one_method, method as make_method
 from sb3_adaptive_q.compilation import FunctionSet
 from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
-from sb3_adaptive_q.rollouts import NO_UPDATES, StepRollout
+from sb3_adaptive_q.rollouts import HOLD, NO_UPDATES, StepRollout
 from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.update import WORKSPACE, addresses_of
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 SelfTabularQ = TypeVar("SelfTabularQ", bound="TabularQ")
 
 #: Of what a saved file holds; to be raised when older versions could not read it
 FORMAT_VERSION = 1
-
-HOLD = FunctionSet("hold", function=rules.hold_rate)
 
 #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
 _SETTING_UP = threading.Lock()
@@ -121,6 +120,7 @@ class TabularQ(BaseAlgorithm):
         #: ε in force
         self.exploration_rate = 0.0
         self._rate_data: dict[str, Any] | None = None
+        self._workspace = np.zeros(1, WORKSPACE)
         if self.env is not None:
             StateIndex(self.observation_space)
             count_actions(self.action_space)
@@ -138,23 +138,25 @@ class TabularQ(BaseAlgorithm):
         self._rate: InstalledRate | None = None
         self._rule = HOLD
         self._rule_arguments: tuple[float, ...] = ()
-        self._next_actions: list[int] | None = None
+        self._next_actions: np.ndarray | None = None
         if self._rate_data is not None:
             self._restore_rate(InstalledRate(**self._rate_data))
         elif self.method is not None:
             self.install_rate(make_method(self.method, **(self.method_kwargs or {})).rate, restart=True)
 
     def _view_buffers(self) -> None:
-        """Views of the policy's buffers, through which a step reads and writes single entries."""
-        self._table: Any = memoryview(self.q_table)  # type: ignore[arg-type]
+        """Views of the policy's buffers: to ask a tensor for its array would cost more than an update."""
+        self._table = self.q_table
         self._mu: Any = memoryview(self.policy.mu.numpy())  # type: ignore[arg-type]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_table", "_mu")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_table", "_mu", "_workspace")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._view_buffers()
+        self._workspace = np.zeros(1, WORKSPACE)
+        self._workspace["draws"] = addresses_of(self._generator)
 
     def _check_arguments(self) -> None:
         if self.format_version > FORMAT_VERSION:
@@ -234,7 +236,7 @@ class TabularQ(BaseAlgorithm):
         self: SelfTabularQ,
         total_timesteps: int,
         callback: MaybeCallback = None,
-        log_interval: int | None = 100,
+        log_interval: int | None = 200,
         tb_log_name: str = "TabularQ",
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
@@ -286,7 +288,7 @@ class TabularQ(BaseAlgorithm):
 
     def _begin_rollout(self, callback: BaseCallback) -> StepRollout:
         self._last_dump = self._episode_num
-        self._statistics = NO_UPDATES
+        self._forget_updates()
         return self._make_rollout(callback)
 
     def _make_rollout(self, callback: BaseCallback) -> StepRollout:
@@ -364,8 +366,9 @@ class TabularQ(BaseAlgorithm):
         self._last_dump = self._episode_num
 
     def _record_updates(self) -> None:
-        n_updates, mu_sum, mu_min, mu_max, td_error_sum = self._statistics
-        self._statistics = NO_UPDATES
+        n_updates = self._n_updates - self._n_updates_at_dump
+        mu_sum, mu_min, mu_max, td_error_sum = self._workspace["statistics"][0].tolist()
+        self._forget_updates()
         record = self.logger.record
         record("train/learning_rate", self.mu)
         record("train/n_updates", self._n_updates, exclude="tensorboard")
@@ -374,6 +377,10 @@ class TabularQ(BaseAlgorithm):
             record("train/mu_min", mu_min)
             record("train/mu_max", mu_max)
             record("train/td_error", td_error_sum / n_updates)
+
+    def _forget_updates(self) -> None:
+        self._workspace["statistics"] = NO_UPDATES
+        self._n_updates_at_dump = self._n_updates
 
     def predict(
         self,
@@ -411,6 +418,7 @@ class TabularQ(BaseAlgorithm):
         # Spawned, because an environment that is seeded with the same number draws from SeedSequence(seed) itself
         learning, predicting = np.random.SeedSequence(seed).spawn(2)
         self._generator = np.random.default_rng(learning)
+        self._workspace["draws"] = addresses_of(self._generator)
         self._predict_generator = np.random.default_rng(predicting)
 
     @classmethod
@@ -460,8 +468,18 @@ class TabularQ(BaseAlgorithm):
         return self.policy_aliases[policy_name]
 
     def _excluded_save_params(self) -> list[str]:
-        derived = ["_table", "_mu", "_generator", "_predict_generator", "_rule", "_rule_arguments", "_rate", "lr_schedule"]
-        of_one_training = ["_next_actions", "_statistics", "_last_dump", "_total_episodes"]
+        derived = [
+            "_table",
+            "_mu",
+            "_workspace",
+            "_generator",
+            "_predict_generator",
+            "_rule",
+            "_rule_arguments",
+            "_rate",
+            "lr_schedule",
+        ]
+        of_one_training = ["_next_actions", "_statistics", "_n_updates_at_dump", "_last_dump", "_total_episodes"]
         return [*super()._excluded_save_params(), *derived, *of_one_training]
 
 

@@ -21,9 +21,9 @@ from sb3_adaptive_q.study.atomic import write_atomically
 from sb3_adaptive_q.study.command_line import main
 
 PROJECT = Path(__file__).resolve().parent.parent
-#: 24 cells of some 30 ms each: time enough to be hit in the middle
-SETTINGS = StudySettings(systems=("FrozenLake-v1",), methods=(1, 6, 7), runs=8, episodes=20_000)
-OPTIONS = "--systems FrozenLake-v1 --methods 1 6 7 --runs 8 --episodes 20000 --workers 2".split()
+#: 24 cells of some 100 ms each: time enough to be hit in the middle
+SETTINGS = StudySettings(systems=("FrozenLake-v1",), methods=(1, 6, 7), runs=8, episodes=60_000)
+OPTIONS = "--systems FrozenLake-v1 --methods 1 6 7 --runs 8 --episodes 60000 --workers 2".split()
 SMALL = StudySettings(systems=("FrozenLake-v1",), methods=(1, 7), runs=2, episodes=50)
 SMALL_OPTIONS = "--systems FrozenLake-v1 --methods 1 7 --runs 2 --episodes 50 --workers 1".split()
 

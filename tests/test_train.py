@@ -260,7 +260,7 @@ def test_progress_bar_instead_of_tables(run: Run, capsys: pytest.CaptureFixture[
     output = "".join(capsys.readouterr())
     assert "2,000/2,000" in output and "100%" in output
     assert "rollout/" not in output
-    run("-P", "--verbose", "1")
+    run("-P", "--verbose", "1", "-n", "4000")
     assert "rollout/" in "".join(capsys.readouterr())
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from sb3_adaptive_q.vec_env.layers import layered_step
 
@@ -24,22 +24,31 @@ class LeanVecEnv(DummyVecEnv):
     :raises ValueError: if two of them return the same environment
     """
 
+    _prepared = ("_steps", "_only_array")
+
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         super().__init__(env_fns)
-        self._steps = [layered_step(env) for env in self.envs]
-        #: The buffer of observations, where these are not a dict or a tuple of arrays
-        self._only_array: np.ndarray | None = self.buf_obs.get(None)  # type: ignore[call-overload]
+        self._prepare()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_steps"}
+        return {name: value for name, value in self.__dict__.items() if name not in self._prepared}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         # A copy steps its own environments, not those of the original
+        self._prepare()
+
+    def _prepare(self) -> None:
         self._steps = [layered_step(env) for env in self.envs]
+        #: The buffer of observations, where these are not a dict or a tuple of arrays
+        self._only_array: np.ndarray | None = self.buf_obs.get(None)  # type: ignore[call-overload]
+
+    def step(self, actions: np.ndarray) -> VecEnvStepReturn:
+        self.actions = actions
+        return self.step_wait()
 
     def step_wait(self) -> VecEnvStepReturn:
-        rewards, dones, infos = self.buf_rews, self.buf_dones, []
+        observations, rewards, dones, infos = self._only_array, self.buf_rews, self.buf_dones, []
         for i, step in enumerate(self._steps):
             observation, rewards[i], terminated, truncated, info = step(self.actions[i])
             dones[i] = done = terminated or truncated
@@ -47,16 +56,11 @@ class LeanVecEnv(DummyVecEnv):
             if done:
                 info["terminal_observation"] = deepcopy(observation)
                 observation, self.reset_infos[i] = self.envs[i].reset()
-            self._save_obs(i, observation)
+            if observations is None:
+                self._save_obs(i, observation)
+            else:
+                observations[i] = observation
             infos.append(info)
         # Copied, so that a later step does not overwrite what this one has handed out
-        return self._obs_from_buf(), rewards.copy(), dones.copy(), infos
-
-    def _save_obs(self, env_idx: int, obs: VecEnvObs) -> None:
-        if self._only_array is None:
-            super()._save_obs(env_idx, obs)
-        else:
-            self._only_array[env_idx] = obs
-
-    def _obs_from_buf(self) -> VecEnvObs:
-        return super()._obs_from_buf() if self._only_array is None else self._only_array.copy()
+        new_obs = self._obs_from_buf() if observations is None else observations.copy()
+        return new_obs, rewards.copy(), dones.copy(), infos
