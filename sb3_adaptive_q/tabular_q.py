@@ -58,7 +58,8 @@ class TabularQ(BaseAlgorithm):
     :param total_episodes: where given, learning ends after that many episodes, and these are what progress counts:
         ε and the methods' t / t_max are constant within an episode
     :param callback_interval: on a compiled environment, the steps of every environment between two calls of a callback
-        of your own; ``None`` for 262144 there. Elsewhere callbacks are called at every step
+        of your own; ``None`` for 1 000 000 transitions of all environments together. Elsewhere callbacks are called at
+        every step
     :param stats_window_size: the episodes over which the logged means are taken
     :param tensorboard_log: the folder for TensorBoard's files; ``None`` for none
     :param policy_kwargs: further arguments of the policy

@@ -344,10 +344,11 @@ class TestCallbacksOfAUser:
         (ours, _), _ = on_both_paths(lambda path: method(8), 3_000, method=None)
         assert len(set(ours.rates.tolist())) > 1
 
-    def test_the_default_stretch_is_long(self):
+    @pytest.mark.parametrize("n_envs", [1, 4])
+    def test_the_default_stretch_is_long(self, n_envs):
         watch = Watch()
-        make_model(LAKE, True).learn(300_000, callback=watch, log_interval=None)
-        assert [len(seen["dones"]) for seen in watch.seen] == [262_144, 300_000 - 262_144]
+        make_model(LAKE, True, n_envs=n_envs).learn(1_300_000, callback=watch, log_interval=None)
+        assert [np.size(seen["dones"]) for seen in watch.seen] == [1_000_000, 300_000]
 
     def test_events(self):
         events = []

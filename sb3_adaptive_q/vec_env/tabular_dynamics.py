@@ -16,19 +16,25 @@ OUTCOME = np.dtype(
     [("cumulative", np.float64), ("reward", np.float64), ("next_state", np.int64), ("terminated", np.bool_)], align=True
 )
 
+#: Up to how many outcomes machine code is made for their number
+MOST_UNROLLED = 8
+
 
 class TransitionTable(NamedTuple):
     """
     ``P`` and the initial distribution as arrays.
 
     :param initial: cumulative probabilities of the first state, of shape (n_states,)
-    :param outcomes: of shape (n_states, n_actions, most outcomes + 1). Where a row has fewer, it is filled up with its
-        first outcome and an infinite cumulative probability: gymnasium takes the first outcome where rounding leaves a
-        drawn number above all of them
+    :param outcomes: of shape (n_states, n_actions, most outcomes + 1), or without the 1 where no drawn number can pass
+        them. Where a row has fewer, it is filled up with its first outcome and an infinite cumulative probability:
+        gymnasium takes the first outcome where rounding leaves a drawn number above all of them
+    :param comparisons: one entry for each outcome but the last, as the compiler knows the length of a tuple; none where
+        there are many outcomes
     """
 
     initial: np.ndarray
     outcomes: np.ndarray
+    comparisons: tuple[int, ...]
 
 
 class TabularDynamics(Dynamics):
@@ -69,7 +75,7 @@ class TabularDynamics(Dynamics):
         """Draw an outcome. Counting without a branch is fastest for a handful of them."""
         number = generator.random()
         outcome = 0
-        for i in range(parameters.outcomes.shape[2] - 1):
+        for i in range(len(parameters.comparisons) or parameters.outcomes.shape[2] - 1):
             outcome += 1 if parameters.outcomes[state, action, i]["cumulative"] <= number else 0
         drawn = parameters.outcomes[state, action, outcome]
         return drawn["next_state"], drawn["reward"], drawn["terminated"]
@@ -113,7 +119,10 @@ def read_table(env: Any) -> TransitionTable:
                 for bound, (_, next_state, reward, terminated) in zip(cumulative, outcomes, strict=True)
             ]
             table[state, action] = records + [(np.inf, *records[0][1:])] * (most + 1 - len(records))
-    return TransitionTable(_cumulative("initial_state_distrib", env.initial_state_distrib), table)
+    if (table["cumulative"][:, :, most - 1] >= 1.0).all():
+        table = table[:, :, :most].copy()
+    comparisons = tuple(range(table.shape[2] - 1)) if most <= MOST_UNROLLED else ()
+    return TransitionTable(_cumulative("initial_state_distrib", env.initial_state_distrib), table, comparisons)
 
 
 def playable_states(table: TransitionTable, most_rows: int = 10_000) -> np.ndarray:
@@ -123,7 +132,7 @@ def playable_states(table: TransitionTable, most_rows: int = 10_000) -> np.ndarr
     :return: states in which an action may be taken: where an episode begins or goes on
     """
     n_states = len(table.outcomes)
-    outcomes = table.outcomes[:: -(-n_states // most_rows), :, :-1]
+    outcomes = table.outcomes[:: -(-n_states // most_rows)]
     bounds = outcomes["cumulative"]
     possible = np.isfinite(bounds)
     possible[:, :, 1:] &= bounds[:, :, 1:] > bounds[:, :, :-1]
