@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env.patch_gym import _patch_env
 from sb3_adaptive_q import kernels, rules
 from sb3_adaptive_q.callbacks import check_one_method, method as make_method
 from sb3_adaptive_q.compilation import FunctionSet
+from sb3_adaptive_q.fused_rollout import FusedRollout
 from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.rollouts import HOLD, NO_UPDATES, StepRollout
@@ -301,8 +302,6 @@ class TabularQ(BaseAlgorithm):
                     stacklevel=4,
                 )
             return StepRollout(self, self._make_learner())
-        from sb3_adaptive_q.fused_rollout import FusedRollout  # imports Numba, which the per-step path does without
-
         return FusedRollout(self, self._make_learner(), callback)
 
     def _make_learner(self) -> kernels.Learner:
