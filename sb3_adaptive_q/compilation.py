@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 #: Functions from these packages are Numba's to know, and do not change under us
 _FOREIGN = {*sys.stdlib_module_names, "numpy", "numba"} - {"__main__"}
@@ -50,8 +51,6 @@ def compile_cached(function: Callable[..., Any], nogil: bool) -> Any:
     :param nogil: whether it gives the interpreter lock away
     :return: its compiled form
     """
-    from numba import njit
-
     try:
         return njit(function, nogil=nogil, cache=True)
     except RuntimeError:  # a read-only installation and no home directory: Numba finds no place for its cache

@@ -42,6 +42,11 @@ class InstalledRate:
         """
         if next_action not in NEXT_ACTIONS:
             raise ValueError(f"`next_action` must be one of {', '.join(NEXT_ACTIONS)}, but got {next_action!r}.")
+        if not callable(getattr(owner, "rule", None)):
+            raise ValueError(
+                f"{owner.__qualname__} needs the class attribute `rule`, a function `rule(mu, transition, *parameters)` that "
+                "returns the next step size."
+            )
         rate = cls(f"{owner.__module__}:{owner.__qualname__}", mu_0, next_action, reset_each_episode, dict(parameters))
         rate.__dict__["function"] = owner.rule  # type: ignore[attr-defined]
         rate._put_parameters_in_order()

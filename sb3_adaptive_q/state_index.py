@@ -48,8 +48,12 @@ class StateIndex:
         :return: their rows, of shape (n,)
         :raises ValueError: if one lies outside the space
         """
-        digits = observations.reshape(len(observations), -1).astype(np.int64) - np.array(self.starts)
-        outside = ((digits < 0) | (digits >= np.array(self.sizes))).any(axis=1)
+        values = observations.reshape(len(observations), -1)
+        with np.errstate(invalid="ignore"):  # a NaN becomes a number, from which it differs
+            digits = values.astype(np.int64)
+        is_fraction = digits != values
+        digits -= np.array(self.starts)
+        outside = ((digits < 0) | (digits >= np.array(self.sizes)) | is_fraction).any(axis=1)
         if outside.any():
             raise ValueError(self._outside(observations[outside][0]))
         return np.ravel_multi_index(tuple(digits.T), self.sizes)

@@ -14,7 +14,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
+from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import ConstantSchedule, get_device, safe_mean
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
@@ -174,6 +175,8 @@ class TabularQ(BaseAlgorithm):
             raise ValueError(
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
             )
+        if "initial_q" in self.policy_kwargs:
+            raise ValueError("`initial_q` is an argument of TabularQ itself: please take it out of `policy_kwargs`.")
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
@@ -420,6 +423,24 @@ class TabularQ(BaseAlgorithm):
         self._generator = np.random.default_rng(learning)
         self._workspace["draws"] = addresses_of(self._generator)
         self._predict_generator = np.random.default_rng(predicting)
+
+    def set_parameters(
+        self, load_path_or_dict: str | TensorDict, exact_match: bool = True, device: th.device | str = "auto"
+    ) -> None:
+        """
+        Take over a table and its μ, as :meth:`stable_baselines3.common.base_class.BaseAlgorithm.set_parameters` does.
+
+        :param load_path_or_dict: a saved file, or what ``get_parameters`` returned
+        :param exact_match: whether all parameters must be there
+        :param device: unused: the table stays where it is
+        :raises ValueError: if they do not fit the model, or μ is not from 0 to 1
+        """
+        parameters: Any = load_path_or_dict
+        if not isinstance(parameters, dict):
+            _, parameters, _ = load_from_zip_file(parameters, device=device, load_data=False)
+        if "mu" in parameters.get("policy", {}):
+            check_rate("mu", float(parameters["policy"]["mu"]))
+        super().set_parameters(parameters, exact_match, device)
 
     @classmethod
     def load(cls: type[SelfTabularQ], *args: Any, **kwargs: Any) -> SelfTabularQ:

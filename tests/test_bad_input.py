@@ -1,5 +1,6 @@
 """Bad input is refused with what was expected, what came and what to do, before anything has changed."""
 
+import math
 import re
 import tracemalloc
 from types import SimpleNamespace
@@ -259,6 +260,17 @@ class TestMethods:
             model.learn(100, callback=Broken())
         assert np.isfinite(model.q_table).all()
 
+    def test_initial_value_of_the_policy(self):
+        with refused("`initial_q` is an argument of TabularQ"):
+            TabularQ("MlpPolicy", LAKE, policy_kwargs={"initial_q": 1.0})
+
+    def test_callback_without_a_rule(self):
+        class Empty(LearningRateCallback):
+            pass
+
+        with refused("Empty needs the class attribute `rule`, a function `rule(mu, transition, *parameters)`"):
+            Empty(mu_0=0.1)
+
 
 class TestRewards:
     @pytest.mark.parametrize("reward", [np.nan, np.inf, -np.inf])
@@ -306,6 +318,11 @@ class TestObservations:
 
     @pytest.mark.parametrize("observation", [16, -1, [3, 16], [-1]])
     def test_to_predict_from(self, observation):
+        with refused("outside the observation space Discrete(16)"):
+            lake().predict(np.array(observation))
+
+    @pytest.mark.parametrize("observation", [3.7, [0.0, 2.5], [math.nan]])
+    def test_to_predict_from_between_two_states(self, observation):
         with refused("outside the observation space Discrete(16)"):
             lake().predict(np.array(observation))
 

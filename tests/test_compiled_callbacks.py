@@ -340,6 +340,17 @@ class TestCallbacksOfAUser:
         (ours, _), _ = on_both_paths(lambda path: Alternate(), 4_000, callback_interval=500, **arguments)
         assert len(set(ours.rates.tolist())) >= (2 if number == 5 or number is None else 3)
 
+    def test_a_new_seed_in_the_middle(self):
+        class Seed(BaseCallback):
+            def _on_step(self):
+                if self.num_timesteps == 1_000:
+                    self.model.set_random_seed(5)
+                return True
+
+        (ours, _), _ = on_both_paths(lambda path: Seed(), 3_000, callback_interval=500)
+        (undisturbed, _), _ = on_both_paths(lambda path: Watch(), 3_000, callback_interval=500)
+        assert ours.next_number != undisturbed.next_number
+
     def test_a_method_as_callback(self):
         (ours, _), _ = on_both_paths(lambda path: method(8), 3_000, method=None)
         assert len(set(ours.rates.tolist())) > 1

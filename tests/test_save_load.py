@@ -289,6 +289,15 @@ class TestOtherSizes:
             small.set_parameters(large.get_parameters())
         np.testing.assert_array_equal(small.q_table, before)
 
+    @pytest.mark.parametrize("from_file", [True, False])
+    def test_a_step_size_out_of_range_is_refused_and_changes_nothing(self, tmp_path, from_file):
+        teacher, pupil = (TabularQ("MlpPolicy", LAKE, seed=0, initial_q=q) for q in (1.0, 0.5))
+        teacher.policy.mu.fill_(1.5)
+        teacher.save(tmp_path / "model")
+        with pytest.raises(ValueError, match=r"`mu` must be from 0 to 1, but got 1\.5"):
+            pupil.set_parameters(tmp_path / "model" if from_file else teacher.get_parameters())
+        assert (pupil.q_table == 0.5).all() and pupil.mu == 0.01
+
     def test_arguments_out_of_range_are_refused_on_loading(self, tmp_path):
         TabularQ("MlpPolicy", LAKE).save(tmp_path / "model")
         with pytest.raises(ValueError, match=r"gamma.*0 to 1.*2"):

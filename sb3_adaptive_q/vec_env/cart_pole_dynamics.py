@@ -44,7 +44,7 @@ class _CartPoleDynamics(Dynamics):
         return grid_index(parameters.edges, parameters.counts, parameters.scales, observation)
 
 
-class CartPoleParameters(NamedTuple):
+class CartPoleAttributes(NamedTuple):
     """The attributes of gymnasium's class by their names there, and the grid."""
 
     gravity: float
@@ -82,9 +82,9 @@ class CartPoleDynamics(_CartPoleDynamics):
                 "use LeanVecEnv, which works with everything."
             )
         assert grid is not None
-        constants = [float(getattr(cart_pole, name)) for name in CartPoleParameters._fields[:9]]
+        constants = [float(getattr(cart_pole, name)) for name in CartPoleAttributes._fields[:9]]
         rewards = (0.0, -1.0) if cart_pole._sutton_barto_reward else (1.0, 1.0)
-        self.parameters = CartPoleParameters._make([*constants, *rewards, *grid])
+        self.parameters = CartPoleAttributes._make([*constants, *rewards, *grid])
 
     @staticmethod
     def step(parameters, state, action, generator):
