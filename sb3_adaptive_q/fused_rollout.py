@@ -33,7 +33,7 @@ class FusedRollout(StepRollout):
     env: CompiledVecEnv
 
     def __init__(self, model: "TabularQ", learner: kernels.Learner, callback: BaseCallback) -> None:
-        super().__init__(model, learner)
+        super().__init__(model, learner, callback)
         self.callback = callback
         self.twins = self.env.compile()
         self.dynamics = self.twins[0].dynamics.function_set()
@@ -44,12 +44,12 @@ class FusedRollout(StepRollout):
         self.interval = min(interval, max(self._steps_left(), 1))
         self.record = _empty_record(self.interval * self.env.num_envs)
 
-    def advance(self) -> tuple[np.ndarray, Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def advance(self) -> None:
         """
-        Run a stretch.
+        Run a stretch. Callbacks then find what they would on the per-step path after its last step, but for ``dones``:
+        whether an episode ended, for every step of the stretch, of shape (steps, n_envs).
 
-        :return: as on the per-step path for the last transition, but for the third: whether an episode ended, for every
-            step of the stretch, of shape (steps, n_envs)
+        :raises ValueError: as on the per-step path, or if the rule or the dynamics do not compile or leave their range
         """
         max_steps, max_episodes = self._limits()
         dones = np.zeros((max_steps, self.env.num_envs), dtype=bool)
@@ -69,7 +69,7 @@ class FusedRollout(StepRollout):
             )
         )  # fmt: skip
         new_obs = self.state_index.observations(lanes.start_indices)
-        return self._action_array + self.first_action, new_obs, lanes.rewards.copy(), dones[:n_steps], self.infos
+        self._show(self._action_array + self.first_action, new_obs, lanes.rewards.copy(), dones[:n_steps], self.infos)
 
     def finished_episodes(self) -> Episodes:
         record, end = self.record, self.n_ended

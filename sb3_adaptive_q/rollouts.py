@@ -4,6 +4,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q import kernels, rules
@@ -41,11 +42,16 @@ class StepRollout:
 
     :param model: the model that learns
     :param learner: what stays as it is in this training
+    :param callback: what is called after every step
     """
 
-    def __init__(self, model: "TabularQ", learner: kernels.Learner) -> None:
+    def __init__(self, model: "TabularQ", learner: kernels.Learner, callback: BaseCallback) -> None:
         assert model.env is not None
         self.model = model
+        #: What callbacks see of the last step, in the dictionary that they hold: ``locals()``, which SB3 hands over at
+        #: every step, would gather all the others again
+        self.step_locals = callback.locals
+        self.step_locals["rollout"] = self
         self.env: VecEnv = model.env
         self.learner = learner
         model._workspace["learner"] = tuple(learner)
@@ -62,11 +68,11 @@ class StepRollout:
         # Its entries are Python's integers, which machine code takes faster than NumPy's
         self.actions: Any = memoryview(model._next_actions)  # type: ignore[arg-type]
 
-    def advance(self) -> tuple[np.ndarray, Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def advance(self) -> None:
         """
-        Take the chosen actions.
+        Take the chosen actions. Callbacks then find ``actions``, ``new_obs``, ``rewards``, ``dones`` and ``infos`` among
+        the variables, as ``VecEnv.step`` has them.
 
-        :return: actions, new observations, rewards, whether an episode ended, infos, as ``VecEnv.step`` has them
         :raises ValueError: if a reward is not a finite number; the table stays as it was
         """
         actions = self._action_array.copy()
@@ -76,7 +82,7 @@ class StepRollout:
         self.model.num_timesteps += self.env.num_envs
         self.infos, self.dones = infos, dones.tolist()
         self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
-        return actions, new_obs, rewards, dones, infos
+        self._show(actions, new_obs, rewards, dones, infos)
 
     def learn(self) -> None:
         """Learn from the transitions that were made last, and choose the next actions."""
@@ -103,6 +109,7 @@ class StepRollout:
         model._mu[0] = mu
         model.exploration_rate, self.progress, model._episode_num = epsilon, progress, n_episodes
         model._n_updates += len(actions)
+        model._last_obs = self.new_obs
 
     def _take_rule(self) -> None:
         """A rule of this package is compiled; any other stays the Python it is, whatever it may do."""
@@ -118,6 +125,7 @@ class StepRollout:
             self._note_episodes()
         self.model._episode_num += sum(self.dones)
         self.model._next_actions = None
+        self.model._last_obs = self.new_obs
 
     def finished_episodes(self) -> Episodes:
         """
@@ -130,6 +138,14 @@ class StepRollout:
             np.full(len(infos), self.model.mu),
             np.full(len(infos), self.model.exploration_rate),
         )
+
+    def _show(
+        self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]
+    ) -> None:
+        step_locals = self.step_locals
+        step_locals["actions"], step_locals["new_obs"] = actions, new_obs
+        step_locals["rewards"], step_locals["dones"], step_locals["infos"] = rewards, dones, infos
+        self.new_obs = new_obs
 
     def _note_episodes(self) -> None:
         self.model._update_info_buffer(self.infos, self.dones)

@@ -273,14 +273,12 @@ class TabularQ(BaseAlgorithm):
         try:
             while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
                 callback.on_rollout_start()
-                actions, new_obs, rewards, dones, infos = rollout.advance()
-                callback.update_locals(locals())
+                rollout.advance()
+                callback.update_locals(rollout.step_locals)
                 if not callback.on_step():
                     rollout.abandon()
-                    self._last_obs = new_obs
                     break
                 rollout.learn()
-                self._last_obs = new_obs
                 self._current_progress_remaining = 1.0 - rollout.progress
                 if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
                     self.dump_logs()
@@ -304,7 +302,7 @@ class TabularQ(BaseAlgorithm):
                     "compiled stretches, hand it over without a wrapper.",
                     stacklevel=4,
                 )
-            return StepRollout(self, self._make_learner())
+            return StepRollout(self, self._make_learner(), callback)
         return FusedRollout(self, self._make_learner(), callback)
 
     def _make_learner(self) -> kernels.Learner:
