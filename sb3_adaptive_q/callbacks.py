@@ -24,8 +24,8 @@ class LearningRateCallback(BaseCallback):
 
     A rule of your own is a subclass with the attribute :attr:`rule`, a plain function
     ``rule(mu, transition, *parameters)`` of scalars that returns μ_{t+1}; see :class:`sb3_adaptive_q.rules.Transition`
-    for what it may look at. Written with numbers only, without lists or arrays, in the part of Python that Numba
-    compiles, it runs in compiled environments too.
+    for what it may look at. It runs as the Python it is, and on a compiled environment as machine code: there it must be
+    written with numbers only, without lists or arrays, in the part of Python that Numba compiles.
 
     :param mu_0: the step size of the first update; ``None`` asks the rule itself, with no progress made
     :param next_action: which action's value in the next state the rule sees: ``"same"``, Q_t(s_{t+1}, a_t);

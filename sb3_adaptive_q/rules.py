@@ -1,8 +1,8 @@
 """
 How the step size μ moves from one update to the next: the paper's Eqs. 3-11, each written once.
 
-A *rule* is a plain function ``rule(mu, transition, *parameters) -> float`` of scalars. The per-step path calls it as
-Python, the fused loop compiles the very same function, so an equation cannot differ between the two.
+A *rule* is a plain function ``rule(mu, transition, *parameters) -> float`` of scalars. The update of a single transition
+and the fused loop compile the very same function, so an equation cannot differ between the two.
 """
 
 from typing import NamedTuple
