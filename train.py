@@ -7,7 +7,9 @@ try:
 except ModuleNotFoundError as error:
     if error.name is None or error.name.startswith("sb3_adaptive_q"):
         raise
-    sys.exit(f"train.py: error: The module {error.name} is missing: please install sb3-adaptive-q[zoo].")
+    sys.exit(
+        f"train.py: error: The module {error.name} is missing: please install sb3-adaptive-q[zoo], or use .venv/bin/python."
+    )
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""The cells of the Cart Pole; apart from the loops, because a process that starts on the per-step path needs no Numba."""
+"""The cells of the Cart Pole."""
 
 #: Table 5 of the paper: the edges of x, x_dot, theta and theta_dot lie between plus and minus these
 POLE_BOUNDS = (2.4, 4.0, 0.2095, 4.0)

@@ -27,7 +27,7 @@ class LearningRateCallback(BaseCallback):
     for what it may look at. It runs as the Python it is, and on a compiled environment as machine code: there it must be
     written with numbers only, without lists or arrays, in the part of Python that Numba compiles.
 
-    :param mu_0: the step size of the first update; ``None`` asks the rule itself, with no progress made
+    :param mu_0: the step size of the first update; ``None`` asks the rule itself, with a transition of zeros
     :param next_action: which action's value in the next state the rule sees: ``"same"``, Q_t(s_{t+1}, a_t);
         ``"next"``, Q_t(s_{t+1}, a_{t+1}); ``"max"``, max_a Q_t(s_{t+1}, a)
     :param reset_each_episode: whether μ starts again from ``mu_0`` with every episode (with one environment only)

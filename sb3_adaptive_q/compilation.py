@@ -1,6 +1,6 @@
 """
-What the compiled path needs of Numba: plain functions that enter compiled code, and a disk cache that never runs an
-edited one stale and works without a disk.
+What is needed of Numba: plain functions that enter compiled code, and a disk cache that never runs an edited one stale
+and works without a disk.
 """
 
 import hashlib
@@ -9,6 +9,7 @@ import types
 from collections.abc import Callable, Iterator
 from enum import Enum
 from functools import cached_property
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class FunctionSet:
         self.name = name
         self.container = container
         self.functions = functions
-        self.__dict__.update(functions)  # a plain attribute is what costs least on the per-step path
+        self.__dict__.update(functions)
 
     @cached_property
     def digest(self) -> str:
@@ -43,18 +44,34 @@ class FunctionSet:
         return source_digest(*self.functions.values()) + "-".join(getattr(self.container, "_fields", ()))
 
 
-def compile_cached(function: Callable[..., Any], nogil: bool) -> Any:
+class CachedFunction:
     """
-    Compile a function, and keep the machine code on disk where there is a place for it.
+    A function that is compiled, and whose machine code is kept on disk where there is a place for it.
 
     :param function: a function of the part of Python that Numba compiles
     :param nogil: whether it gives the interpreter lock away
-    :return: its compiled form
     """
-    try:
-        return njit(function, nogil=nogil, cache=True)
-    except RuntimeError:  # a read-only installation and no home directory: Numba finds no place for its cache
-        return njit(function, nogil=nogil)
+
+    def __init__(self, function: Callable[..., Any], nogil: bool) -> None:
+        self.function, self.nogil = function, nogil
+        try:
+            self.dispatcher = njit(function, nogil=nogil, cache=True)
+        except RuntimeError:  # a read-only installation and no home directory: Numba finds no place for its cache
+            self.dispatcher = njit(function, nogil=nogil)
+
+    def use(self, action: Callable[[Any], Any]) -> Any:
+        """
+        :param action: what to do with the compiled function, such as to call it
+        :return: what the action returns
+        """
+        try:
+            return action(self.dispatcher)
+        except (OSError, EOFError, UnpicklingError):  # a full disk, or a file that was cut off
+            self.dispatcher = njit(self.function, nogil=self.nogil)
+            return action(self.dispatcher)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.use(lambda dispatcher: dispatcher(*arguments))
 
 
 def source_digest(*functions: Callable[..., Any]) -> str:
@@ -86,8 +103,8 @@ def _collect(item: Any, found: list[types.FunctionType]) -> None:
             _collect(value, found)
 
 
-def _is_foreign(module_name: str) -> bool:
-    return module_name.partition(".")[0] in _FOREIGN
+def _is_foreign(module_name: str | None) -> bool:
+    return (module_name or "").partition(".")[0] in _FOREIGN
 
 
 def _parts(functions: tuple[Callable[..., Any], ...]) -> Iterator[Any]:

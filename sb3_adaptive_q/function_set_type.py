@@ -48,10 +48,10 @@ def type_of_function_set(value: FunctionSet, context: Any = None) -> FunctionSet
     """
     identity = (value.name, f"{value.digest}-{_kernels_digest}")
     if identity not in _functions:
-        _functions[identity] = value.functions
-        _containers[identity] = value.container
         for function in value.functions.values():
             make_compilable(function)
+        _containers[identity] = value.container
+        _functions[identity] = value.functions  # last: from here on another thread takes it to be ready
     return FunctionSetType(identity)
 
 

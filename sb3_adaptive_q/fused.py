@@ -10,7 +10,7 @@ from numba.extending import overload
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from sb3_adaptive_q import kernels
-from sb3_adaptive_q.compilation import compile_cached
+from sb3_adaptive_q.compilation import CachedFunction
 from sb3_adaptive_q.function_set_type import INLINED, container_of, make_compilable
 from sb3_adaptive_q.vec_env.dynamics import RATE_OUT_OF_RANGE, SOUND
 
@@ -285,4 +285,4 @@ def _run_stretch(
     )  # fmt: skip
 
 
-run_stretch = compile_cached(_run_stretch, nogil=True)
+run_stretch = CachedFunction(_run_stretch, nogil=True)

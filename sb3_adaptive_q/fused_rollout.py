@@ -4,6 +4,7 @@ from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba import config
 from numba.core.errors import NumbaError
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -27,13 +28,18 @@ class FusedRollout(StepRollout):
 
     :param model: the model that learns
     :param learner: what stays as it is in this training
+    :param step_locals: the variables that callbacks see
     :param callback: what is called after every stretch; SB3's own callbacks in it bound the stretches
     """
 
     env: CompiledVecEnv
 
-    def __init__(self, model: "TabularQ", learner: kernels.Learner, callback: BaseCallback) -> None:
-        super().__init__(model, learner, callback)
+    def __init__(
+        self, model: "TabularQ", learner: kernels.Learner, step_locals: dict[str, Any], callback: BaseCallback
+    ) -> None:
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            raise ValueError("A CompiledVecEnv needs Numba's compiler: please unset NUMBA_DISABLE_JIT, or use LeanVecEnv.")
+        super().__init__(model, learner, step_locals)
         self.callback = callback
         self.twins = self.env.compile()
         self.dynamics = self.twins[0].dynamics.function_set()
@@ -91,17 +97,24 @@ class FusedRollout(StepRollout):
     def _run(self, dones: np.ndarray, max_steps: int, max_episodes: int) -> int:
         model, lanes = self.model, self.lanes
         self._read_lanes()
+        if model._rule is not self._rule:
+            self._take_rule()
         lanes.actions[:] = self._action_array
         lanes.indices[:] = self.states
         counters = fused.Counters(model.mu, model.exploration_rate, self.progress, model._episode_num)
         try:
             flaw, n_steps, self.n_ended, counters, statistics = fused.run_stretch(
                 self.dynamics, self.parameters, self.generators, self.template, self.twins[0].max_episode_steps, lanes,
-                model.q_table, model._generator, self.learner, model._rule, model._rule_arguments,
-                counters, tuple(model._workspace["statistics"][0].tolist()), model.num_timesteps,
+                model._table, model._generator, self.learner, model._rule, model._rule_arguments,
+                counters, tuple(self.statistics.tolist()), model.num_timesteps,
                 self.record._replace(dones=dones), max_steps, max_episodes,
             )  # fmt: skip
         except NumbaError as error:
+            if model._rate is None:
+                raise ValueError(
+                    "A `learning_rate` that is a Python function does not compile: a compiled environment takes a number, "
+                    "or a method such as Methods 3 and 4; LeanVecEnv takes any function."
+                ) from error
             raise ValueError(
                 f"The rule {model._rule.name} or the dynamics {self.dynamics.name} do not compile. A compiled environment "
                 "takes a constant `learning_rate`, or the rule of a LearningRateCallback in the part of Python that Numba "
@@ -110,7 +123,7 @@ class FusedRollout(StepRollout):
         model._n_updates += (n_steps - 1) * self.env.num_envs
         model._mu[0], model.exploration_rate, self.progress, model._episode_num = counters
         model.num_timesteps += n_steps * self.env.num_envs
-        model._workspace["statistics"] = statistics
+        self.statistics[:] = statistics
         self._action_array[:] = lanes.actions
         self.states[:] = lanes.indices.tolist()
         if flaw == REWARD_NOT_FINITE:
@@ -120,7 +133,7 @@ class FusedRollout(StepRollout):
             model._refuse_rate(model.mu)
         if flaw == STATE_OUT_OF_RANGE:
             raise ValueError(
-                f"`index` of {self.dynamics.name} must give rows 0 to {len(model.q_table) - 1}, but at step "
+                f"`index` of {self.dynamics.name} must give rows 0 to {len(model._table) - 1}, but at step "
                 f"{model.num_timesteps} it gave {lanes.next_indices.tolist()}, after a reset {lanes.start_indices.tolist()}."
             )
         return int(n_steps)

@@ -50,7 +50,13 @@ class InstalledRate:
         rate = cls(f"{owner.__module__}:{owner.__qualname__}", mu_0, next_action, reset_each_episode, dict(parameters))
         rate.__dict__["function"] = owner.rule  # type: ignore[attr-defined]
         rate._put_parameters_in_order()
-        check_rate("mu_0", rate.start())
+        start = rate.start()
+        if mu_0 is None and not is_rate(start):
+            raise ValueError(
+                f"The rule of {rate.owner} must give step sizes from 0 to 1, but for a transition of zeros, where training "
+                f"starts, it gave {start!r}: please check it, or say `mu_0`."
+            )
+        check_rate("mu_0", start)
         return rate
 
     @cached_property
@@ -78,7 +84,7 @@ class InstalledRate:
         """
         if self.mu_0 is not None:
             return self.mu_0
-        return float(self.function(0.0, Transition(0.0, 0.0, 0.0, 0.0), *self.arguments))
+        return self.function(0.0, Transition(0.0, 0.0, 0.0, 0.0), *self.arguments)
 
     def as_data(self) -> dict[str, Any]:
         """
@@ -88,16 +94,28 @@ class InstalledRate:
         return {name: getattr(self, name) for name in names}
 
     def _put_parameters_in_order(self) -> None:
-        expected = list(inspect.signature(self.function).parameters)[2:]
+        names = list(inspect.signature(self.function).parameters)
+        if names[:1] == ["self"]:
+            raise ValueError(f"The rule of {self.owner} must be a function without `self`: please make it a `@staticmethod`.")
+        expected = names[2:]
         if set(expected) != set(self.parameters):
             raise ValueError(
                 f"The rule of {self.owner} takes the parameters ({', '.join(expected)}) after `mu` and `transition`, "
                 f"but got ({', '.join(self.parameters)})."
             )
+        given: dict[str, Any] = {**self.parameters}
+        for name, value in given.items():
+            if not isinstance(value, Real) or not isfinite(value):
+                raise ValueError(f"`{name}`, of the rule of {self.owner}, must be a finite number, but got {value!r}.")
         self.parameters = {name: float(self.parameters[name]) for name in expected}
-        for name, value in self.parameters.items():
-            if not isfinite(value):
-                raise ValueError(f"`{name}` must be finite, but got {value}.")
+
+
+def is_rate(value: Any) -> bool:
+    """
+    :param value: anything
+    :return: whether it is a number from 0 to 1
+    """
+    return isinstance(value, Real) and 0.0 <= float(value) <= 1.0
 
 
 def check_rate(name: str, value: Any) -> None:
@@ -106,5 +124,5 @@ def check_rate(name: str, value: Any) -> None:
     :param value: a step size
     :raises ValueError: if it is not from 0 to 1
     """
-    if not isinstance(value, Real) or not 0.0 <= float(value) <= 1.0:
+    if not is_rate(value):
         raise ValueError(f"`{name}` must be from 0 to 1, but got {value}.")

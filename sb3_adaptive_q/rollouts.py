@@ -1,16 +1,17 @@
 """How transitions are made and learned from: one step of the environment at a time."""
 
 from math import inf, isfinite
+from numbers import Real
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q import kernels, rules
 from sb3_adaptive_q.compilation import FunctionSet
+from sb3_adaptive_q.draws import addresses_of
 from sb3_adaptive_q.rules import Transition
-from sb3_adaptive_q.update import compile_update
+from sb3_adaptive_q.update import WORKSPACE, compile_update
 
 if TYPE_CHECKING:
     from sb3_adaptive_q.tabular_q import TabularQ
@@ -42,20 +43,22 @@ class StepRollout:
 
     :param model: the model that learns
     :param learner: what stays as it is in this training
-    :param callback: what is called after every step
+    :param step_locals: the variables that callbacks see; those of a step are put in. One dictionary, because ``locals()``,
+        which SB3 hands over at every step, would gather all the others again
     """
 
-    def __init__(self, model: "TabularQ", learner: kernels.Learner, callback: BaseCallback) -> None:
+    def __init__(self, model: "TabularQ", learner: kernels.Learner, step_locals: dict[str, Any]) -> None:
         assert model.env is not None
         self.model = model
-        #: What callbacks see of the last step, in the dictionary that they hold: ``locals()``, which SB3 hands over at
-        #: every step, would gather all the others again
-        self.step_locals = callback.locals
+        self.step_locals = step_locals
         self.step_locals["rollout"] = self
         self.env: VecEnv = model.env
         self.learner = learner
-        model._workspace["learner"] = tuple(learner)
+        self._workspace = np.zeros(1, WORKSPACE)
         self._take_rule()
+        self._take_generator()
+        #: Sum of μ, least μ, largest μ and sum of absolute temporal-difference errors since the last entry of the log
+        self.statistics: np.ndarray = self._workspace["statistics"][0]
         self.progress = kernels.progress_made(learner, model.num_timesteps, model._episode_num)
         model.exploration_rate = kernels.exploration_rate(learner, self.progress)
         self.state_index = model.policy.state_index
@@ -91,6 +94,8 @@ class StepRollout:
         model, states, actions = self.model, self.states, self.actions
         if model._rule is not self._rule:
             self._take_rule()
+        if model._generator is not self._generator:
+            self._take_generator()
         mu, epsilon, progress, n_episodes = model._mu[0], model.exploration_rate, self.progress, model._episode_num
         num_timesteps = model.num_timesteps
         for i, (reward, next_state, terminated, done, start_state) in enumerate(self.transitions):
@@ -99,9 +104,11 @@ class StepRollout:
                 mu, epsilon, n_episodes, num_timesteps,
                 states[i], actions[i], reward, next_state, terminated, done, start_state,
             )  # fmt: skip
-            if self._is_foreign:
+            if self._runs_as_python:
                 transition = Transition(value, next_value, td_error, progress)
                 next_mu = kernels.next_rate(self._rule, model._rule_arguments, self.learner, mu, transition, done)
+                if not isinstance(next_mu, Real):
+                    model._refuse_rate(next_mu)
             mu, states[i] = next_mu, start_state
             n_episodes += done
             if not 0.0 <= mu <= 1.0:
@@ -115,9 +122,16 @@ class StepRollout:
         """A rule of this package is compiled; any other stays the Python it is, whatever it may do."""
         model = self.model
         self._rule = model._rule
-        self._is_foreign = self._rule.functions["function"].__module__ != rules.__name__
-        rule, arguments = (HOLD, ()) if self._is_foreign else (self._rule, model._rule_arguments)
-        self._update = compile_update(rule, arguments, model._table, model._workspace)
+        self.learner = self.learner._replace(**model._rate_constants())
+        self._workspace["learner"] = tuple(self.learner)
+        self._runs_as_python = self._rule.functions["function"] not in vars(rules).values()
+        rule, arguments = (HOLD, ()) if self._runs_as_python else (self._rule, model._rule_arguments)
+        self._update = compile_update(rule, arguments, model._table, self._workspace)
+
+    def _take_generator(self) -> None:
+        generator = self.model._generator
+        self._workspace["draws"] = addresses_of(generator)
+        self._generator = generator  # kept, so that the addresses stay good; and last, so that an interrupt is harmless
 
     def abandon(self) -> None:
         """Leave the last transitions unlearned, as SB3 does when a callback ends the training; their episodes count."""

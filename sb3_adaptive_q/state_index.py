@@ -20,14 +20,15 @@ class StateIndex:
         self.sizes, self.starts = _components(space)
         self.n_states = prod(self.sizes)
         if isinstance(space, spaces.Discrete):
+            self._numbers = range(self.starts[0], self.starts[0] + self.n_states)
             self.of = self._of_number  # type: ignore[method-assign]
 
     def _of_number(self, observation: int) -> int:
         """The row of a Discrete observation; :meth:`of` for these."""
-        index = observation - self.starts[0]
-        if not 0 <= index < self.n_states:
-            raise ValueError(self._outside(observation))
-        return index
+        try:
+            return self._numbers.index(observation)
+        except ValueError:
+            raise ValueError(self._outside(observation)) from None
 
     def of(self, observation: Any) -> int:
         """
@@ -40,6 +41,8 @@ class StateIndex:
             if not 0 <= value - start < size:
                 raise ValueError(self._outside(observation))
             index = index * size + (value - start)
+        if not isinstance(index, int):
+            raise ValueError(self._outside(observation))
         return index
 
     def of_batch(self, observations: np.ndarray) -> np.ndarray:

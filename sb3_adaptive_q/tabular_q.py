@@ -28,10 +28,12 @@ from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.rollouts import HOLD, NO_UPDATES, StepRollout
 from sb3_adaptive_q.state_index import StateIndex
-from sb3_adaptive_q.update import WORKSPACE, addresses_of
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 SelfTabularQ = TypeVar("SelfTabularQ", bound="TabularQ")
+
+#: More steps than are ever taken, and few enough for 64 bits
+NO_END = 2**62
 
 #: Of what a saved file holds; to be raised when older versions could not read it
 FORMAT_VERSION = 1
@@ -123,7 +125,6 @@ class TabularQ(BaseAlgorithm):
         #: ε in force
         self.exploration_rate = 0.0
         self._rate_data: dict[str, Any] | None = None
-        self._workspace = np.zeros(1, WORKSPACE)
         if self.env is not None:
             StateIndex(self.observation_space)
             count_actions(self.action_space)
@@ -149,17 +150,17 @@ class TabularQ(BaseAlgorithm):
 
     def _view_buffers(self) -> None:
         """Views of the policy's buffers: to ask a tensor for its array would cost more than an update."""
-        self._table = self.q_table
-        self._mu: Any = memoryview(self.policy.mu.numpy())  # type: ignore[arg-type]
+        policy = self.policy
+        self._table = _view("q_table", policy.q_table, (policy.state_index.n_states, count_actions(self.action_space)))
+        self._mu: Any = memoryview(_view("mu", policy.mu, (1,)))  # type: ignore[arg-type]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_table", "_mu", "_workspace")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_table", "_mu")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._view_buffers()
-        self._workspace = np.zeros(1, WORKSPACE)
-        self._workspace["draws"] = addresses_of(self._generator)
+        if "policy" in state:
+            self._view_buffers()
 
     def _check_arguments(self) -> None:
         if self.format_version > FORMAT_VERSION:
@@ -261,6 +262,7 @@ class TabularQ(BaseAlgorithm):
         check_one_method(callback)
         if log_interval is not None and log_interval < 1:
             raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
+        self._view_buffers()  # the policy may be another one by now
         if reset_num_timesteps or self._last_obs is None:
             self._next_actions = None
         with _SETTING_UP:
@@ -268,13 +270,14 @@ class TabularQ(BaseAlgorithm):
                 total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
             )
         self._start_rate(reset_num_timesteps)
-        callback.on_training_start(locals(), globals())
-        rollout = self._begin_rollout(callback)
+        step_locals = locals()
+        callback.on_training_start(step_locals, globals())
+        rollout = self._begin_rollout(callback, step_locals)
         try:
             while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
                 callback.on_rollout_start()
                 rollout.advance()
-                callback.update_locals(rollout.step_locals)
+                callback.update_locals(step_locals)
                 if not callback.on_step():
                     rollout.abandon()
                     break
@@ -289,12 +292,14 @@ class TabularQ(BaseAlgorithm):
         callback.on_training_end()
         return self
 
-    def _begin_rollout(self, callback: BaseCallback) -> StepRollout:
+    def _begin_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
+        rollout = self._make_rollout(callback, step_locals)
         self._last_dump = self._episode_num
+        self._statistics = rollout.statistics
         self._forget_updates()
-        return self._make_rollout(callback)
+        return rollout
 
-    def _make_rollout(self, callback: BaseCallback) -> StepRollout:
+    def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
         if not isinstance(self.env, CompiledVecEnv):
             if isinstance(self.env, VecEnvWrapper) and isinstance(self.env.unwrapped, CompiledVecEnv):
                 warnings.warn(
@@ -302,12 +307,11 @@ class TabularQ(BaseAlgorithm):
                     "compiled stretches, hand it over without a wrapper.",
                     stacklevel=4,
                 )
-            return StepRollout(self, self._make_learner(), callback)
-        return FusedRollout(self, self._make_learner(), callback)
+            return StepRollout(self, self._make_learner(), step_locals)
+        return FusedRollout(self, self._make_learner(), step_locals, callback)
 
     def _make_learner(self) -> kernels.Learner:
         decay = self.exploration_final_eps - self.exploration_initial_eps
-        rate = self._rate
         return kernels.Learner(
             n_actions=self.q_table.shape[1],
             gamma=float(self.gamma),
@@ -315,15 +319,24 @@ class TabularQ(BaseAlgorithm):
             exploration_final_eps=float(self.exploration_final_eps),
             exploration_fraction=float(self.exploration_fraction),
             exploration_slope=decay / self.exploration_fraction if self.exploration_fraction else 0.0,
-            total_timesteps=int(self._total_timesteps),
+            total_timesteps=min(int(self._total_timesteps), NO_END),
             total_episodes=int(self._total_episodes) if self.total_episodes else 0,
-            next_action=kernels.NEXT_ACTIONS[rate.next_action] if rate else kernels.SAME_ACTION,
-            reset_each_episode=rate.reset_each_episode if rate else False,
-            mu_0=float(rate.start()) if rate else 0.0,
+            **self._rate_constants(),
         )
 
-    def _refuse_rate(self, rate: float) -> NoReturn:
-        raise ValueError(f"The rule of {self._rule.name} must give step sizes from 0 to 1, but gave {rate}: please check it.")
+    def _rate_constants(self) -> dict[str, Any]:
+        """The fields of ``Learner`` that the method in force decides."""
+        rate = self._rate
+        return {
+            "next_action": kernels.NEXT_ACTIONS[rate.next_action] if rate else kernels.SAME_ACTION,
+            "reset_each_episode": rate.reset_each_episode if rate else False,
+            "mu_0": float(rate.start()) if rate else 0.0,
+        }
+
+    def _refuse_rate(self, rate: Any) -> NoReturn:
+        raise ValueError(
+            f"The rule of {self._rule.name} must give step sizes from 0 to 1, but gave {rate!r}: please check it."
+        )
 
     def _start_rate(self, restart: bool) -> None:
         """Before any callback is called, so that one may set another μ when training starts."""
@@ -368,7 +381,7 @@ class TabularQ(BaseAlgorithm):
 
     def _record_updates(self) -> None:
         n_updates = self._n_updates - self._n_updates_at_dump
-        mu_sum, mu_min, mu_max, td_error_sum = self._workspace["statistics"][0].tolist()
+        mu_sum, mu_min, mu_max, td_error_sum = self._statistics.tolist()
         self._forget_updates()
         record = self.logger.record
         record("train/learning_rate", self.mu)
@@ -380,7 +393,7 @@ class TabularQ(BaseAlgorithm):
             record("train/td_error", td_error_sum / n_updates)
 
     def _forget_updates(self) -> None:
-        self._workspace["statistics"] = NO_UPDATES
+        self._statistics[:] = NO_UPDATES
         self._n_updates_at_dump = self._n_updates
 
     def predict(
@@ -419,7 +432,6 @@ class TabularQ(BaseAlgorithm):
         # Spawned, because an environment that is seeded with the same number draws from SeedSequence(seed) itself
         learning, predicting = np.random.SeedSequence(seed).spawn(2)
         self._generator = np.random.default_rng(learning)
-        self._workspace["draws"] = addresses_of(self._generator)
         self._predict_generator = np.random.default_rng(predicting)
 
     def set_parameters(
@@ -490,7 +502,6 @@ class TabularQ(BaseAlgorithm):
         derived = [
             "_table",
             "_mu",
-            "_workspace",
             "_generator",
             "_predict_generator",
             "_rule",
@@ -500,6 +511,19 @@ class TabularQ(BaseAlgorithm):
         ]
         of_one_training = ["_next_actions", "_statistics", "_n_updates_at_dump", "_last_dump", "_total_episodes"]
         return [*super()._excluded_save_params(), *derived, *of_one_training]
+
+
+def _view(name: str, buffer: th.Tensor, shape: tuple[int, ...]) -> np.ndarray:
+    """The memory of a policy's buffer, which machine code takes to be laid out like this."""
+    fits = (
+        tuple(buffer.shape) == shape and buffer.dtype == th.float64 and buffer.is_contiguous() and buffer.device.type == "cpu"
+    )
+    if not fits:
+        raise ValueError(
+            f"The policy's `{name}` must be a contiguous tensor of float64 and of shape {shape} on the CPU, but is of "
+            f"{buffer.dtype}, {tuple(buffer.shape)}, on {buffer.device}: please copy the values into the buffer that is there."
+        )
+    return buffer.numpy()
 
 
 def _cpu(device: th.device | str) -> th.device | str:

@@ -30,7 +30,7 @@ def assert_equal(ours, theirs):
         np.testing.assert_array_equal(our.q_table, their.q_table)
         for name in ("mu", "num_timesteps", "_episode_num", "_n_updates", "exploration_rate"):
             assert getattr(our, name) == getattr(their, name), name
-        np.testing.assert_array_equal(our._workspace["statistics"], their._workspace["statistics"])
+        np.testing.assert_array_equal(our._statistics, their._statistics)
         episodes = [[(info["r"], info["l"]) for info in model.ep_info_buffer] for model in (our, their)]
         assert episodes[0] == episodes[1]
 

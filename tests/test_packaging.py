@@ -164,3 +164,11 @@ def test_import_brings_no_heavy_library_of_its_own() -> None:
     ours = top_level_modules("import sb3_adaptive_q, wrappers")
     assert {"sb3_adaptive_q", "wrappers"} <= ours
     assert not (ours - brought_by_dependencies) & HEAVY
+
+
+def test_a_folder_of_the_same_name_does_not_hide_the_package(tmp_path: Path) -> None:
+    """A clone in the working directory, for instance."""
+    (tmp_path / "sb3_adaptive_q").mkdir()
+    program = "import sb3_adaptive_q\nprint(sb3_adaptive_q.TabularQ.__name__)"
+    finished = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert finished.stdout.strip() == "TabularQ", finished.stderr

@@ -29,7 +29,7 @@ def test_the_compiled_example_learns_the_lake(names: dict[str, Any]) -> None:
 
 
 def test_the_saved_model_is_the_one_that_was_trained(names: dict[str, Any]) -> None:
-    assert names["model"].num_timesteps == 100_000
+    assert names["model"].num_timesteps == 300_000
     assert names["model"].q_table.shape == (16, 4)
 
 

@@ -3,7 +3,12 @@
 import signal
 import sys
 
-from sb3_adaptive_q.study.command_line import main
+try:
+    from sb3_adaptive_q.study.command_line import main
+except ModuleNotFoundError as error:
+    if error.name is None or error.name.startswith("sb3_adaptive_q"):
+        raise
+    sys.exit(f"Error: The module {error.name} is missing: please install sb3-adaptive-q[study], or use .venv/bin/python.")
 
 # A spawned worker imports this module under another name
 if __name__ == "__main__":

@@ -23,7 +23,9 @@ def main(arguments: list[str] | None = None) -> int:
     """
     try:
         settings, execution = read_arguments(arguments)
-        print(run_study(settings, Path(execution.pop("output")), **execution))
+        output = Path(execution.pop("output"))
+        print(run_study(settings, output, **execution))
+        print(f"\nThe tables, figures and this report are in {output}.")
     except DesignError as error:
         return _fail(error, 2)
     except StudyError as error:

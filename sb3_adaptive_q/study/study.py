@@ -39,6 +39,8 @@ def run_study(
     folder = StudyFolder(output, settings, warn=lambda text: tqdm.write(f"Warning: {text}", file=sys.stderr))
     folder.open()
     run_missing_cells(folder, workers, dask, progress_bar)
+    if progress_bar:
+        print("Drawing figures, comparing methods ...", file=sys.stderr)
     report = write_outputs(folder)
     if tensorboard is not None:
         from sb3_adaptive_q.study.tensorboard_log import write_tensorboard

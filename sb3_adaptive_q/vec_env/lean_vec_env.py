@@ -43,10 +43,6 @@ class LeanVecEnv(DummyVecEnv):
         #: The buffer of observations, where these are not a dict or a tuple of arrays
         self._only_array: np.ndarray | None = self.buf_obs.get(None)  # type: ignore[call-overload]
 
-    def step(self, actions: np.ndarray) -> VecEnvStepReturn:
-        self.actions = actions
-        return self.step_wait()
-
     def step_wait(self) -> VecEnvStepReturn:
         observations, rewards, dones, infos = self._only_array, self.buf_rews, self.buf_dones, []
         for i, step in enumerate(self._steps):

@@ -105,7 +105,7 @@ def learn(model: TabularQ, total_timesteps: int, callback: Any = None, **argumen
         model.num_timesteps,
         model._episode_num,
         model._n_updates,
-        tuple(model._workspace["statistics"][0].tolist()),
+        tuple(model._statistics.tolist()),
         model._generator.random(),  # equal numbers here: as many were drawn
         series.returns,
         series.lengths,

@@ -1,0 +1,254 @@
+"""The update as machine code: the same numbers as Python's, from the generator in force, into the table in force."""
+
+import copy
+import functools
+import os
+import subprocess
+import sys
+from typing import NamedTuple
+
+import gymnasium as gym
+import numba
+import numpy as np
+import pytest
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper
+
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, LearningRateCallback, TabularQ, method, rules
+from sb3_adaptive_q.compilation import CachedFunction
+from sb3_adaptive_q.draws import Draws, addresses_of
+from sb3_adaptive_q.kernels import NEXT_ACTIONS
+from sb3_adaptive_q.policies import TabularQPolicy
+
+LAKE = "FrozenLake-v1"
+
+
+class At(BaseCallback):
+    """Calls a function of the model at one step."""
+
+    def __init__(self, step, action):
+        super().__init__()
+        self.step, self.action = step, action
+
+    def _on_step(self):
+        if self.n_calls == self.step:
+            self.action(self.model)
+        return True
+
+
+class TestDraws:
+    def test_they_are_the_generators_own(self):
+        ours, theirs = np.random.default_rng(0), np.random.default_rng(0)
+        draws = Draws(*addresses_of(ours))
+
+        @numba.njit
+        def compiled(next_double, state):
+            return Draws(next_double, state).random()
+
+        for _ in range(10):
+            assert draws.random() == theirs.random()
+            assert compiled(draws.next_double, draws.state) == theirs.random()
+            assert ours.random() == theirs.random()
+
+    def test_named_tuples_of_others_keep_a_field_of_that_name(self):
+        class Pair(NamedTuple):
+            random: int
+            other: int
+
+        assert numba.njit(lambda pair: pair.random)(Pair(1, 2)) == 1
+
+
+class TestWithoutCompiler:
+    PROGRAM = """
+from sb3_adaptive_q import TabularQ
+for number in (None, 3, 5, 7):
+    model = TabularQ("MlpPolicy", "FrozenLake-v1", method=number, seed=0, initial_q=1.0).learn(2_000)
+    print(model.q_table.tobytes().hex(), model.mu, model._generator.random(), model._statistics.tolist())
+"""
+
+    def test_python_gives_the_same_in_every_bit(self):
+        machine_code, python = (
+            subprocess.run(
+                [sys.executable, "-c", self.PROGRAM],
+                env={**os.environ, "NUMBA_DISABLE_JIT": switch},
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+            for switch in ("0", "1")
+        )
+        assert machine_code == python and len(machine_code.splitlines()) == 4
+
+    def test_a_compiled_environment_says_what_it_lacks(self):
+        program = """
+from stable_baselines3.common.env_util import make_vec_env
+from sb3_adaptive_q import CompiledVecEnv, TabularQ
+TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv)).learn(10)
+"""
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+        result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+        assert result.returncode == 1 and "please unset NUMBA_DISABLE_JIT" in result.stderr
+
+
+class TestCache:
+    @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), EOFError()])
+    def test_an_unusable_cache_is_done_without(self, error):
+        function = CachedFunction(lambda number: number + 1, nogil=True)
+        unusable = function.dispatcher
+
+        def use(dispatcher):
+            if dispatcher is unusable:
+                raise error
+            return dispatcher(1)
+
+        assert function.use(use) == 2
+        assert function(2) == 3
+
+
+class TestRules:
+    def test_a_wrapped_rule_of_the_package_runs_as_python(self):
+        seen = []
+
+        @functools.wraps(rules.constant_rate)
+        def logged(mu, transition, beta):
+            seen.append(mu)
+            return rules.constant_rate(mu, transition, beta)
+
+        class Logged(LearningRateCallback):
+            rule = staticmethod(logged)
+
+        TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Logged(beta=0.1))
+        assert seen[-50:] == [0.1] * 50
+
+    def test_one_that_gives_no_number(self):
+        class Forgetful(LearningRateCallback):
+            @staticmethod
+            def rule(mu, transition):
+                return None
+
+        with pytest.raises(ValueError, match="Forgetful must give step sizes from 0 to 1, but gave None"):
+            TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Forgetful(mu_0=0.1))
+        with pytest.raises(ValueError, match=r"Forgetful must give step sizes .* zeros, where training starts, it gave None"):
+            Forgetful()
+
+    def test_one_that_is_a_method(self):
+        class Bound(LearningRateCallback):
+            def rule(self, mu, transition):
+                return 0.1
+
+        with pytest.raises(ValueError, match="without `self`: please make it a `@staticmethod`"):
+            Bound(mu_0=0.1)
+
+    def test_a_parameter_that_is_no_number(self):
+        class Listed(LearningRateCallback):
+            @staticmethod
+            def rule(mu, transition, values):
+                return 0.1
+
+        with pytest.raises(ValueError, match=r"`values`, of the rule of .*Listed, must be a finite number.*\[1\]"):
+            Listed(mu_0=0.1, values=[1])
+
+    @pytest.mark.parametrize("kind", [LeanVecEnv, CompiledVecEnv])
+    def test_one_that_is_installed_in_the_middle_brings_its_constants(self, kind):
+        """Which action's value it sees, and whether μ starts anew with every episode."""
+        rate = method(7, next_action="max", reset_each_episode=True).rate
+        callback = At(5, lambda model: model.install_rate(rate, restart=True))
+        model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=kind), seed=0, callback_interval=10)
+        model.learn(100, callback=callback)
+        learner = callback.locals["rollout"].learner
+        assert (learner.next_action, learner.reset_each_episode) == (NEXT_ACTIONS["max"], True)
+
+    def test_more_steps_than_fit_into_64_bits(self):
+        model = TabularQ("MlpPolicy", LAKE, seed=0, total_episodes=3).learn(10**19)
+        assert model._episode_num == 3
+
+
+class TestGenerator:
+    def test_a_new_one_is_drawn_from(self):
+        """The old one is freed, so that machine code which went on with its address would draw from anything."""
+
+        def replace(model):
+            model._generator = np.random.default_rng(5)
+
+        model = TabularQ("MlpPolicy", LAKE, seed=0, exploration_final_eps=1.0)
+        model.learn(500, callback=At(100, replace))
+        drawn = np.random.default_rng(5)
+        for _ in range(10_000):
+            if drawn.bit_generator.state == model._generator.bit_generator.state:
+                break
+            drawn.random()
+        else:
+            pytest.fail("the new generator was not drawn from, or not it alone")
+        assert drawn.bit_generator.state != np.random.default_rng(5).bit_generator.state
+
+
+class TestPolicy:
+    @pytest.mark.parametrize("compiled", [False, True])
+    def test_another_one_is_learned_into(self, compiled):
+        env = make_vec_env(LAKE, vec_env_cls=CompiledVecEnv if compiled else LeanVecEnv)
+        model = TabularQ("MlpPolicy", env, seed=0, learning_rate=0.5)
+        other = TabularQPolicy(model.observation_space, model.action_space, model.lr_schedule, initial_q=1.0)
+        model.policy = other
+        model.learn(500)
+        assert (other.q_table.numpy() != 1.0).any()
+        assert model.mu == other.mu.item() == 0.5
+
+    @pytest.mark.parametrize(
+        "change", [lambda table: table.float(), lambda table: table[:8], lambda table: table.t().contiguous().t()]
+    )
+    def test_a_table_of_another_kind_is_refused(self, change):
+        model = TabularQ("MlpPolicy", LAKE, seed=0)
+        model.policy.q_table = change(model.policy.q_table)
+        with pytest.raises(ValueError, match=r"`q_table` must be a contiguous tensor of float64 and of shape \(16, 4\)"):
+            model.learn(10)
+        assert model.num_timesteps == 0
+
+    def test_a_copy_of_a_model_that_is_not_set_up(self):
+        model = copy.deepcopy(TabularQ("MlpPolicy", None, _init_setup_model=False))
+        assert not hasattr(model, "policy")
+
+
+class TestObservations:
+    def test_fractions_are_refused(self):
+        class Shifted(VecEnvWrapper):
+            def reset(self):
+                return self.venv.reset() + 0.5
+
+            def step_wait(self):
+                observations, rewards, dones, infos = self.venv.step_wait()
+                return observations + 0.5, rewards, dones, infos
+
+        model = TabularQ("MlpPolicy", Shifted(DummyVecEnv([lambda: gym.make(LAKE)])))
+        with pytest.raises(ValueError, match=r"observation 0\.5 lies outside the observation space Discrete\(16\)"):
+            model.learn(10)
+
+
+class TestProtocol:
+    def test_a_lean_vec_env_steps_in_two_halves(self):
+        actions = []
+
+        class Watched(LeanVecEnv):
+            def step_async(self, given):
+                actions.append(given.tolist())
+                super().step_async(given)
+
+        env = Watched([lambda: gym.make(LAKE)])
+        env.reset()
+        env.step(np.array([2]))
+        assert actions == [[2]]
+
+    def test_a_callback_that_keeps_no_variables_at_the_start_gets_them_at_every_step(self):
+        class Careless(BaseCallback):
+            def on_training_start(self, locals_, globals_):
+                pass
+
+            def _on_step(self):
+                return {"self", "new_obs", "rewards", "dones", "infos", "actions"} <= set(self.locals)
+
+        assert TabularQ("MlpPolicy", LAKE, seed=0).learn(20, callback=Careless()).num_timesteps == 20
+
+
+def test_statistics_of_a_copy_are_those_of_the_model():
+    model = TabularQ("MlpPolicy", LAKE, seed=0, method=7).learn(500, log_interval=None)
+    assert copy.deepcopy(model)._statistics.tolist() == model._statistics.tolist() != [0.0] * 4
