@@ -9,7 +9,7 @@ from numba.core.errors import NumbaError
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_adaptive_q import fused, kernels
-from sb3_adaptive_q.rollouts import Episodes, StepRollout
+from sb3_adaptive_q.rollouts import HOLD, Episodes, StepRollout
 from sb3_adaptive_q.stretches import episodes_until_due, skip_steps, steps_until_due
 from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
 from sb3_adaptive_q.vec_env.dynamics import RATE_OUT_OF_RANGE, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE
@@ -110,7 +110,7 @@ class FusedRollout(StepRollout):
                 self.record._replace(dones=dones), max_steps, max_episodes,
             )  # fmt: skip
         except NumbaError as error:
-            if model._rate is None:
+            if model._rate is None and model._rule is not HOLD:
                 raise ValueError(
                     "A `learning_rate` that is a Python function does not compile: a compiled environment takes a number, "
                     "or a method such as Methods 3 and 4; LeanVecEnv takes any function."

@@ -106,7 +106,7 @@ class InstalledRate:
         given: dict[str, Any] = {**self.parameters}
         for name, value in given.items():
             if not isinstance(value, Real) or not isfinite(value):
-                raise ValueError(f"`{name}`, of the rule of {self.owner}, must be a finite number, but got {value!r}.")
+                raise ValueError(f"`{name}` must be finite and a number, for the rule of {self.owner}, but got {value!r}.")
         self.parameters = {name: float(self.parameters[name]) for name in expected}
 
 

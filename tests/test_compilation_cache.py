@@ -24,7 +24,7 @@ from sb3_adaptive_q import CompiledVecEnv, LearningRateCallback, TabularQ, fused
 
 model = TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv), seed=0)
 model.learn(2_000, callback=Mine(mu_0=0.5), log_interval=None)
-stats = fused.run_stretch.stats
+stats = fused.run_stretch.dispatcher.stats
 print(json.dumps({{
     "mu": model.mu,
     "hits": sum(stats.cache_hits.values()),

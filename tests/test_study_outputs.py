@@ -61,7 +61,7 @@ def test_report_is_written_and_printed(folder: StudyFolder, capsys: pytest.Captu
     options = "--methods 1 2 7 --runs 2 --episodes 150 --workers 1".split()
     assert main([*options, "--output", str(folder.path)]) == 0
     report = (folder.path / "report.md").read_text()
-    assert capsys.readouterr().out == report + "\n"
+    assert capsys.readouterr().out == f"{report}\n\nThe tables, figures and this report are in {folder.path}.\n"
 
 
 def test_results_have_a_row_for_each_cell(folder: StudyFolder) -> None:
@@ -73,8 +73,9 @@ def test_results_have_a_row_for_each_cell(folder: StudyFolder) -> None:
 
 def test_progress_bar_tells_the_time_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_study(StudySettings(systems=(LAKE,), methods=(1,), runs=2, episodes=20), tmp_path / "study", workers=1)
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "2/2" in last and "<" in last and "cell/s" in last
+    *_, bar, after = capsys.readouterr().err.splitlines()
+    assert "2/2" in bar and "<" in bar and "cell/s" in bar
+    assert "Drawing figures" in after
 
 
 def test_other_environments_that_compile(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ class TestRules:
             def rule(mu, transition, values):
                 return 0.1
 
-        with pytest.raises(ValueError, match=r"`values`, of the rule of .*Listed, must be a finite number.*\[1\]"):
+        with pytest.raises(ValueError, match=r"`values` must be finite and a number, for the rule of .*Listed, but got \[1\]"):
             Listed(mu_0=0.1, values=[1])
 
     @pytest.mark.parametrize("kind", [LeanVecEnv, CompiledVecEnv])
