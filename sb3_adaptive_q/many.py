@@ -13,7 +13,7 @@ def learn_many(
     models: Sequence[TabularQ],
     total_timesteps: int,
     workers: int | None = None,
-    log_interval: int | None = 200,
+    log_interval: int | None = 300,
     reset_num_timesteps: bool = True,
 ) -> list[TabularQ]:
     """

@@ -242,7 +242,7 @@ class TabularQ(BaseAlgorithm):
         self: SelfTabularQ,
         total_timesteps: int,
         callback: MaybeCallback = None,
-        log_interval: int | None = 200,
+        log_interval: int | None = 300,
         tb_log_name: str = "TabularQ",
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
