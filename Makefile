@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 # Processes that run the test suite.
 JOBS ?= 2
-# Further arguments for train.py, pytest or the study, for example: make train ARGS="--env Taxi-v4 --method 7"
+# Further arguments for train.py, pytest or the study, for example: make train ARGS="--env Taxi-v4 --method 3"
 ARGS ?=
 # Where training leaves its TensorBoard log.
 LOG ?= runs

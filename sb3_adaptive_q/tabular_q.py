@@ -257,9 +257,12 @@ class TabularQ(BaseAlgorithm):
         :param reset_num_timesteps: whether to count steps and episodes, and a method's μ, from the start again
         :param progress_bar: whether to show one
         :return: the model
-        :raises ValueError: if there are two methods among the callbacks, or a reward is not a finite number
+        :raises ValueError: if there is no environment, there are two methods among the callbacks, or a reward is not a
+            finite number
         """
         check_one_method(callback)
+        if self.env is None:
+            raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
         if log_interval is not None and log_interval < 1:
             raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
         self._view_buffers()  # the policy may be another one by now
