@@ -24,8 +24,7 @@ class FunctionSet:
     Plain functions under one name, to be handed to compiled code.
 
     The value carries nothing at run time. Its Numba type is made of the name and a digest of the source, and selects
-    the functions while the loop is being compiled. So the disk cache hits in a later process, misses after an edit, and
-    never needs to import a user's module in order to be read.
+    the functions while the loop is being compiled. So the disk cache hits in a later process, and misses after an edit.
 
     :param name: who they are, unique and equal in every process
     :param container: the named tuple that they expect their parameters in, or ``tuple``
@@ -66,7 +65,7 @@ class CachedFunction:
         """
         try:
             return action(self.dispatcher)
-        except (OSError, EOFError, UnpicklingError):  # a full disk, or a file that was cut off
+        except (OSError, EOFError, UnpicklingError, ImportError):  # a full disk, a file cut off, functions made by `exec`
             self.dispatcher = njit(self.function, nogil=self.nogil)
             return action(self.dispatcher)
 

@@ -92,7 +92,7 @@ TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv))
 
 
 class TestCache:
-    @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), EOFError()])
+    @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), EOFError(), ModuleNotFoundError()])
     def test_an_unusable_cache_is_done_without(self, error):
         function = CachedFunction(lambda number: number + 1, nogil=True)
         unusable = function.dispatcher
