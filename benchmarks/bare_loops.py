@@ -67,6 +67,16 @@ def largest(table, state):
     return best
 
 
+@njit(**INLINED)
+def look_ahead(table, state, action, value, next_state, terminated, epsilon, agent):
+    """The action to take next, and its value before the update."""
+    if terminated:
+        return 0, 0.0
+    next_action = choose(table, next_state, epsilon, agent)
+    is_same = next_state == state and next_action == action
+    return next_action, value if is_same else table[next_state, next_action]
+
+
 def lake_arrays() -> tuple[np.ndarray, ...]:
     """
     :return: of FrozenLake's transitions, in arrays of shape (states, actions, outcomes), the cumulative probabilities but the
@@ -106,11 +116,7 @@ def make_lake_loop(method: int) -> Callable[[int, int], np.ndarray]:
             best = 0.0 if terminated else largest(table, next_state)
             table[state, action] = value + mu * (rewards[state, action, outcome] + GAMMA * best - value)
             epsilon = EPSILON + EPSILON_SLOPE * (step / n_steps)
-            next_action, next_value = 0, 0.0
-            if not terminated:
-                next_action = choose(table, next_state, epsilon, agent)
-                is_same = next_state == state and next_action == action
-                next_value = value if is_same else table[next_state, next_action]
+            next_action, next_value = look_ahead(table, state, action, value, next_state, terminated, epsilon, agent)
             mu = rule(mu, value, next_value)
             if terminated or length >= LAKE_STEPS:
                 environment.random()
@@ -175,11 +181,7 @@ def make_pole_loop(method: int) -> Callable[[int, int], np.ndarray]:
             target = 0.0 if terminated else 1.0 + GAMMA * largest(table, next_state)
             table[state, action] = value + mu * (target - value)
             epsilon = EPSILON + EPSILON_SLOPE * (step / n_steps)
-            next_action, next_value = 0, 0.0
-            if not terminated:
-                next_action = choose(table, next_state, epsilon, agent)
-                is_same = next_state == state and next_action == action
-                next_value = value if is_same else table[next_state, next_action]
+            next_action, next_value = look_ahead(table, state, action, value, next_state, terminated, epsilon, agent)
             mu = rule(mu, value, next_value)
             if terminated or length >= POLE_STEPS:
                 x, x_dot = pole_start(environment), pole_start(environment)

@@ -65,9 +65,7 @@ def _update(
         state, action, reward, next_state, terminated, done, reset_state,
     )  # fmt: skip
     sums = (statistics[0], statistics[1], statistics[2], statistics[3])
-    sums = kernels.record_update(sums, mu, transition.td_error)
-    for i in range(4):
-        statistics[i] = sums[i]
+    statistics[0], statistics[1], statistics[2], statistics[3] = kernels.record_update(sums, mu, transition.td_error)
     mu = kernels.next_rate(rule, arguments, learner, mu, transition, done)
     return next_action, mu, epsilon, transition.value, transition.next_value, transition.td_error, transition.progress
 

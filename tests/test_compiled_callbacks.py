@@ -6,7 +6,7 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
-from helpers.both_paths import assert_same, learn, make_model, make_vec
+from helpers.both_paths import assert_same, learn, make_model, make_vec, step_alike
 from stable_baselines3.common.callbacks import (
     BaseCallback,
     CallbackList,
@@ -542,13 +542,7 @@ class TestWhereTheEnvironmentIsAfterwards:
         ended = 0
         for step in range(450):
             actions = np.array([(step // 3 + i) % 2 for i in range(n_envs)])
-            (obs, rewards, dones, infos), (our_obs, our_rewards, our_dones, our_infos) = (
-                env.step(actions) for env in (ordinary, compiled)
-            )
-            np.testing.assert_array_equal(our_obs, obs)
-            np.testing.assert_array_equal(our_rewards, rewards)
-            np.testing.assert_array_equal(our_dones, dones)
-            for info, our_info in zip(infos, our_infos, strict=True):
+            for our_info, info in step_alike(compiled, ordinary, actions):
                 for each in (info, our_info):
                     each.get("episode", {}).pop("t", None)
                 assert our_info.get("episode") == info.get("episode")

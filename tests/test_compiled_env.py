@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit, TransformReward
-from helpers.both_paths import CELLS, assert_same, learn, make_model, make_vec
+from helpers.both_paths import CELLS, assert_same, learn, make_model, make_vec, step_alike
 from helpers.mountain_car import MountainCarDynamics
 from helpers.table_env import TableEnv
 from stable_baselines3.common.env_util import make_vec_env
@@ -54,13 +54,7 @@ class TestVecEnv:
         np.testing.assert_array_equal(ours.reset(), theirs.reset())
         for step in range(60):
             actions = np.array([step % 4, (step + 1) % 4])
-            (obs, rewards, dones, infos), (their_obs, their_rewards, their_dones, their_infos) = (
-                env.step(actions) for env in (ours, theirs)
-            )
-            np.testing.assert_array_equal(obs, their_obs)
-            np.testing.assert_array_equal(rewards, their_rewards)
-            np.testing.assert_array_equal(dones, their_dones)
-            for info, their_info in zip(infos, their_infos, strict=True):
+            for info, their_info in step_alike(ours, theirs, actions):
                 assert {**info, "episode": None} == {**their_info, "episode": None}
 
     def test_what_it_is_asked_about_is_where_learning_is(self):

@@ -34,9 +34,8 @@ class CompiledVecEnv(LeanVecEnv):
 
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         super().__init__(env_fns)
-        for env in self.envs:
-            compare_with_environment(CompiledEnv(env))
-        self.compile()
+        for twin in self.compile():
+            compare_with_environment(twin)
 
     def compile(self) -> list["CompiledEnv"]:
         """

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
 from wrappers import DiscretizeObservation
@@ -68,6 +69,22 @@ def make_model(name: str, compiled: bool, n_envs: int = 1, **arguments: Any) -> 
     :return: a model on them
     """
     return TabularQ("MlpPolicy", make_vec(name, compiled, n_envs), **{"seed": 0, **arguments})
+
+
+def step_alike(ours: VecEnv, theirs: VecEnv, actions: np.ndarray) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """
+    Step two environments, which have to do the same.
+
+    :param ours: one
+    :param theirs: the other
+    :param actions: for both
+    :return: their infos, in pairs
+    :raises AssertionError: if an observation, a reward or a done differs
+    """
+    (*our_arrays, our_infos), (*their_arrays, their_infos) = ours.step(actions), theirs.step(actions)
+    for our, their in zip(our_arrays, their_arrays, strict=True):
+        np.testing.assert_array_equal(our, their)
+    return list(zip(our_infos, their_infos, strict=True))
 
 
 class Outcome(NamedTuple):
