@@ -101,4 +101,4 @@ class DoubleQ(TabularAlgorithm):
     def q_tables(self) -> np.ndarray:
         """The two live tables, of shape (2, n_states, n_actions). Their mean, ``q_table``, follows with every update."""
         tables: Any = self.policy.q_tables
-        return tables.numpy()  # type: ignore[no-any-return]
+        return tables.numpy()
