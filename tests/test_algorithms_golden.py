@@ -148,7 +148,8 @@ def test_tables_of_mushroom_rl(name: str, monkeypatch: pytest.MonkeyPatch) -> No
 def test_values_of_ai_toolbox(monkeypatch: pytest.MonkeyPatch) -> None:
     toolbox = load()["ai_toolbox"]
     found = toolbox["q_learning"]["transitions"]
-    sequence = make_sequence("ai_toolbox", found, 5, 2, toolbox["gamma"])
+    # Its transitions do not follow one another: each is cut off, which leaves the bootstrap
+    sequence = make_sequence("ai_toolbox", [{**t, "truncated": True} for t in found], 5, 2, toolbox["gamma"])
     counter = force_list(monkeypatch, script_of(sequence))
     snapshots = play(TabularQ, sequence, counter, False, learning_rate=toolbox["q_learning"]["step_size"])
     for transition, snapshot in zip(found, snapshots, strict=True):
