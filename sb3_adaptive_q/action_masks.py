@@ -1,61 +1,43 @@
 """Action masks: behaviour and targets that keep to the actions which ``info["action_mask"]`` allows."""
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q.behaviour import Behaviour
 
 #: Where an environment says which actions are allowed, as gymnasium's Taxi does
 ACTION_MASK = "action_mask"
+#: The name of the array of masks among those that an update works with
+ALLOWED = "allowed"
 
 
-class ActionMasks:
+def mask_arrays(n_states: int, n_actions: int) -> dict[str, np.ndarray]:
     """
-    The mask of every state, as it was seen last: masks must be a function of the state.
-
     :param n_states: rows of the table
     :param n_actions: columns of the table
+    :return: what the functions of :func:`make_masked` find behind the algorithm's own arrays: the mask of every state, as it
+        was seen last, all ones where it was not; and room for two rows
     """
+    return {ALLOWED: np.ones((n_states, n_actions), dtype=bool), "allowed_rows": np.zeros((2, 1, n_actions))}
 
-    def __init__(self, n_states: int, n_actions: int) -> None:
-        #: Which actions are allowed; all of them in a state that was not seen
-        self.allowed = np.ones((n_states, n_actions), dtype=bool)
-        self._rows = np.zeros((2, 1, n_actions))
 
-    def note_starts(self, states: Iterable[int], env: VecEnv) -> None:
-        """
-        Take over the masks after a reset of all environments.
+def note_mask(allowed: np.ndarray, state: int, info: dict[str, Any]) -> None:
+    """
+    Take over the mask of a state in which an action is to be chosen. Masks must be functions of the state.
 
-        :param states: the row of the table for each
-        :param env: the environments
-        :raises ValueError: as :meth:`note`
-        """
-        for state, info in zip(states, env.unwrapped.reset_infos, strict=True):
-            self.note(state, info)
-
-    @property
-    def tables(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the functions of :func:`make_masked` find behind the algorithm's own tables."""
-        return self.allowed, self._rows
-
-    def note(self, state: int, info: dict[str, Any]) -> None:
-        """
-        Take over the mask of a state in which an action is to be chosen.
-
-        :param state: the row of the table
-        :param info: what the environment said when it reached the state
-        :raises ValueError: if there is no mask, it does not fit, or it forbids every action
-        """
-        mask = info.get(ACTION_MASK)
-        if mask is None:
-            raise ValueError(
-                f'`use_masking=True` needs `info["{ACTION_MASK}"]` from every reset and step, but there was none in state '
-                f"{state}: let the environment give it, or leave `use_masking` out."
-            )
-        self.allowed[state] = check_mask(np.asarray(mask), self.allowed.shape[1:], f"state {state}")
+    :param allowed: the masks of all states, of shape (n_states, n_actions)
+    :param state: the row of the table
+    :param info: what the environment said when it reached the state
+    :raises ValueError: if there is no mask, it does not fit, or it forbids every action
+    """
+    mask = info.get(ACTION_MASK)
+    if mask is None:
+        raise ValueError(
+            f'`use_masking=True` needs `info["{ACTION_MASK}"]` from every reset and step, but there was none in state '
+            f"{state}: let the environment give it, or leave `use_masking` out."
+        )
+    allowed[state] = check_mask(np.asarray(mask), allowed.shape[1:], f"state {state}")
 
 
 def check_mask(mask: np.ndarray, shape: tuple[int, ...], where: str) -> np.ndarray:

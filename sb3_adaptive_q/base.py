@@ -18,7 +18,7 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
-from sb3_adaptive_q.action_masks import ActionMasks
+from sb3_adaptive_q.action_masks import ALLOWED, mask_arrays, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.logs import record_logs
@@ -118,6 +118,14 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         """
         return {}
 
+    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """
+        Check arrays that were read from a file, whose numbers machine code looks up without a check.
+
+        :param arrays: of the names, shapes and types of :meth:`working_arrays`
+        :raises ValueError: if the update cannot go on with them
+        """
+
     def update_parameters(self) -> tuple[float, ...]:
         """
         :return: the numbers that the update finds in ``agent.parameters``, such as λ
@@ -200,7 +208,9 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         ).to(self.device)
         self.policy.declare(self.extra_tables(self.policy.n_states, self.policy.n_actions), self.initial_q)
         self._share_mu()
-        self.masks = ActionMasks(self.policy.n_states, self.policy.n_actions) if self.use_masking else None
+        self._working: dict[str, np.ndarray] = {}
+        #: For each environment, the values that its last action was chosen from
+        self.considered = np.zeros((self.n_envs, self.policy.n_actions))
         self._learning = threading.Lock()
         self._next_actions: np.ndarray | None = None
         self._last_dump = 0
@@ -268,8 +278,7 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         """
         names = ["q_table", *self.extra_tables(*self.q_table.shape)]
         tables = [getattr(self.policy, name).numpy() for name in names]
-        masks = self.masks.tables if self.masks is not None else ()
-        return (*tables, *self._working.values(), *masks), (*self._step_size_memory(), self._update_parameters)
+        return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
         self: SelfTabularAlgorithm,
@@ -347,9 +356,10 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             self._last_dump = 0
             self.training.forget_updates()
         self._prepare_update()
-        if restart and self.masks is not None:
+        if restart and self.use_masking:
             states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
-            self.masks.note_starts(states, self.env)
+            for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
+                note_mask(self._working[ALLOWED], state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
         record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
@@ -364,15 +374,17 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         and where a parameter has changed that decides on their size.
         """
         self._update_parameters = tuple(map(float, self.update_parameters()))
-        working = self.working_arrays(self.n_envs, *self.q_table.shape)
-        if self._next_actions is None or [each.shape for each in working.values()] != self._working_shapes():
-            self._working = working
-        if self._next_actions is None:
-            #: For each environment, the values that its last action was chosen from
-            self._considered = np.zeros((self.n_envs, self.policy.n_actions))
+        working = self.new_working_arrays()
+        if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
+            # The masks belong to the states
+            self._working = working | {name: array for name, array in self._working.items() if name == ALLOWED}
 
-    def _working_shapes(self) -> list[tuple[int, ...]]:
-        return [each.shape for each in self._working.values()]
+    def new_working_arrays(self) -> dict[str, np.ndarray]:
+        """
+        :return: the arrays that the update works with in the course of episodes, and those for action masks, as they begin
+        """
+        shape = self.q_table.shape
+        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(*shape) if self.use_masking else {})
 
     def was_exploratory(self) -> np.ndarray:
         """
@@ -384,8 +396,8 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         """
         if isinstance(self.env, CompiledVecEnv) or self._next_actions is None:
             raise RuntimeError("Exploratory actions are known while `learn` steps an ordinary environment: use LeanVecEnv.")
-        taken = self._considered[np.arange(self.n_envs), self._next_actions]
-        return taken < self._considered.max(axis=1)
+        taken = self.considered[np.arange(self.n_envs), self._next_actions]
+        return taken < self.considered.max(axis=1)
 
     def _run_name(self) -> str:
         name = type(self).__name__
@@ -479,6 +491,10 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         if policy_name not in self.policy_aliases:
             raise ValueError(f"Policy {policy_name} unknown: use one of {', '.join(self.policy_aliases)}.")
         return self.policy_aliases[policy_name]
+
+
+def _shapes_of(arrays: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+    return {name: array.shape for name, array in arrays.items()}
 
 
 def _cpu(device: th.device | str) -> th.device | str:

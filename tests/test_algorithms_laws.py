@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from stable_baselines3.common.env_util import make_vec_env
 
 from sb3_adaptive_q import SARSA, ExpectedSARSA, NStep, QLambda, SARSALambda, TabularAlgorithm, TabularQ
-from sb3_adaptive_q.algorithms.traces import PAIR, MARKS, longest_list, size_in_force, sweep, visit
 from sb3_adaptive_q.algorithms.td_update import Transition
+from sb3_adaptive_q.algorithms.traces import MARKS, longest_list, size_in_force, sweep, visit
 from sb3_adaptive_q.rollouts import step_rollout
 from sb3_adaptive_q.step_sizes import Step
 
@@ -100,8 +100,8 @@ class TestTraces:
         """Where a pair is visited again and again, so that its trace is as large as can be, and then new ones only."""
         n_pairs = 400
         longest = longest_list(decay, threshold, n_pairs)
-        places, pairs, n_listed = np.zeros((1, n_pairs, 1), np.int64), np.zeros((1, longest), PAIR), np.zeros(1, np.int64)
-        tables = (np.zeros((n_pairs, 1)), places, pairs, n_listed)
+        places, pairs, n_listed = np.zeros((1, n_pairs, 1), int), np.zeros((1, longest, 2), int), np.zeros(1, int)
+        tables = (np.zeros((n_pairs, 1)), places, pairs, np.zeros((1, longest, 2)), n_listed)
         visited = [state for state, stay in enumerate(stays) for _ in range(stay)] + list(range(len(stays), n_pairs))
         step = Step(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.01)
         for state in visited:

@@ -29,6 +29,17 @@ def check_count(name: str, value: Any) -> None:
         raise ValueError(f"`{name}` must be a whole number of at least 1, but got {value!r}.")
 
 
+def check_range(name: str, values: np.ndarray, stop: int) -> None:
+    """
+    :param name: what the array is called
+    :param values: whole numbers
+    :param stop: the first number that is too large
+    :raises ValueError: if one of them is not from 0 to below that
+    """
+    if ((values < 0) | (values >= stop)).any():
+        raise ValueError(f"`{name}` must hold numbers from 0 to {stop - 1}, but has others.")
+
+
 def check_not_negative(name: str, value: Any) -> None:
     """
     :param name: what the argument is called

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.checks import check_choice, check_count
+from sb3_adaptive_q.algorithms.checks import check_choice, check_count, check_range
 from sb3_adaptive_q.algorithms.td_update import (
     Transition,
     best_for_rule,
@@ -18,9 +18,6 @@ from sb3_adaptive_q.algorithms.td_update import (
 from sb3_adaptive_q.base import TabularAlgorithm
 from sb3_adaptive_q.policies import check_memory
 from sb3_adaptive_q.step_sizes.step import Step
-
-#: What is kept of a transition until it is learned from
-TAKEN = np.dtype([("state", np.int64), ("action", np.int64), ("reward", np.float64)])
 
 
 def value_of_next_action(tables, agent, expect, best, t, action):
@@ -62,12 +59,13 @@ def greedy_value(tables, agent, expect, best, t, action):
     return best(tables, tables[0], t.next_state)[1]
 
 
-def n_step_return(tables, agent, best, taken, oldest, n_taken, value):
+def n_step_return(tables, agent, best, taken, rewards, oldest, n_taken, value):
     """
     :param tables: unused
     :param agent: the numbers of the moment
     :param best: unused
-    :param taken: the transitions of the episode that are kept, in a circle
+    :param taken: states and actions of the episode that are kept, in a circle
+    :param rewards: their rewards
     :param oldest: the place of the oldest
     :param n_taken: how many there are
     :param value: the value of the state that was reached last
@@ -75,19 +73,20 @@ def n_step_return(tables, agent, best, taken, oldest, n_taken, value):
     """
     place = (oldest + n_taken - 1) % len(taken)
     for _ in range(n_taken):
-        value = taken[place]["reward"] + agent.gamma * value
+        value = rewards[place] + agent.gamma * value
         place = place - 1 if place > 0 else len(taken) - 1
     return value
 
 
-def tree_backup_return(tables, agent, best, taken, oldest, n_taken, value):
+def tree_backup_return(tables, agent, best, taken, rewards, oldest, n_taken, value):
     """
     The return of tree backup with a greedy target policy (Precup, Sutton and Singh, 2000).
 
     :param tables: Q first
     :param agent: the numbers of the moment
     :param best: the best action in a state, and its value
-    :param taken: the transitions of the episode that are kept, in a circle
+    :param taken: states and actions of the episode that are kept, in a circle
+    :param rewards: their rewards
     :param oldest: the place of the oldest
     :param n_taken: how many there are
     :param value: the value of the state that was reached last
@@ -95,13 +94,13 @@ def tree_backup_return(tables, agent, best, taken, oldest, n_taken, value):
         of the next state
     """
     place = (oldest + n_taken - 1) % len(taken)
-    value = taken[place]["reward"] + agent.gamma * value
+    value = rewards[place] + agent.gamma * value
     for _ in range(n_taken - 1):
-        greedy_action, best_value = best(tables, tables[0], taken[place]["state"])
-        if taken[place]["action"] != greedy_action:
+        greedy_action, best_value = best(tables, tables[0], taken[place, 0])
+        if taken[place, 1] != greedy_action:
             value = best_value
         place = place - 1 if place > 0 else len(taken) - 1
-        value = taken[place]["reward"] + agent.gamma * value
+        value = rewards[place] + agent.gamma * value
     return value
 
 
@@ -113,13 +112,14 @@ def make_n_step(
     :param return_of: the n-step return
     :param chooses_before_update: whether the next action is drawn from the table before the update
     :return: the update. The oldest pair of n moves towards its return; at the end of an episode all that are left do, the
-        oldest first, each on the table that the one before it left. Its tables are Q; the transitions that are kept, of shape
-        (n_envs, n); the place of the oldest and their number, of shape (n_envs, 2); and the values of the next state before
-        the update, of shape (n_actions,)
+        oldest first, each on the table that the one before it left. Its tables are Q; the states and actions that are
+        kept, of shape (n_envs, n, 2), and their rewards, of shape (n_envs, n); the place of the oldest and their number, of
+        shape (n_envs, 2); and the values of the next state before the update, of shape (n_actions,)
     """
 
     def n_step(tables, agent, size, choose, expect, best, memory, draws, t):
-        table, taken, ends, kept, env = tables[0], tables[1][agent.env], tables[2], tables[3], agent.env
+        env = agent.env
+        table, taken, rewards, ends, kept = tables[0], tables[1][env], tables[2][env], tables[3], tables[4]
         action, next_value, value = 0, 0.0, table[t.state, t.action]
         if not t.terminated:
             if chooses_before_update:
@@ -133,16 +133,15 @@ def make_n_step(
             t.state, t.action, t.state, t.action, 0.0, value, next_value, td_error, agent.progress, agent.gamma, agent.mu
         )  # fmt: skip
         oldest, n_taken = ends[env, 0], ends[env, 1]
-        new = taken[(oldest + n_taken) % len(taken)]
-        new["state"], new["action"], new["reward"] = t.state, t.action, t.reward
+        newest = (oldest + n_taken) % len(taken)
+        taken[newest, 0], taken[newest, 1], rewards[newest] = t.state, t.action, t.reward
         n_taken += 1
         while n_taken == len(taken) or (t.done and n_taken > 0):
             if not t.terminated:
                 next_value = value_of(tables, agent, expect, best, t, action)
-            target = return_of(tables, agent, best, taken, oldest, n_taken, next_value)
-            first = taken[oldest]
+            target = return_of(tables, agent, best, taken, rewards, oldest, n_taken, next_value)
             visited = Transition(
-                first["state"], first["action"], first["reward"], t.next_state, t.terminated, t.done, t.start_state
+                taken[oldest, 0], taken[oldest, 1], rewards[oldest], t.next_state, t.terminated, t.done, t.start_state
             )  # fmt: skip
             update = td_update(table, agent, size, memory, visited, target, next_value)
             step = Step(
@@ -217,9 +216,16 @@ class NStep(TabularAlgorithm):
         return make_n_step(*TARGETS[self.target])
 
     def working_arrays(self, n_envs: int, n_states: int, n_actions: int) -> dict[str, np.ndarray]:
-        check_memory({"taken": (n_envs, self.n, TAKEN.itemsize // 8)})
+        check_memory({"taken": (n_envs, self.n, 2), "rewards": (n_envs, self.n)})
         return {
-            "taken": np.zeros((n_envs, self.n), TAKEN),
+            "taken": np.zeros((n_envs, self.n, 2), np.int64),
+            "rewards": np.zeros((n_envs, self.n)),
             "ends": np.zeros((n_envs, 2), np.int64),
             "next_values": np.zeros(n_actions),
         }
+
+    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        super().check_working_arrays(arrays)
+        check_range("ends", arrays["ends"], self.n)
+        for column, n_rows in enumerate(self.q_table.shape):
+            check_range("taken", arrays["taken"][..., column], n_rows)

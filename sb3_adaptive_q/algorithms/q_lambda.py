@@ -47,7 +47,7 @@ def make_naive(mark: Callable[..., float], size_of: Callable[..., float]) -> Cal
     """
 
     def naive_q_lambda(tables, agent, size, choose, expect, best, memory, draws, t):
-        value, kept = tables[0][t.state, t.action], tables[4]
+        value, kept = tables[0][t.state, t.action], tables[5]
         trace_decay, threshold = agent.parameters
         best_value = 0.0 if t.terminated else best(tables, tables[0], t.next_state)[1]
         step = size(memory, agent, t, value, best_value, t.reward + agent.gamma * best_value - value)
@@ -73,7 +73,7 @@ def make_peng(mark: Callable[..., float], size_of: Callable[..., float]) -> Call
     """
 
     def peng_q_lambda(tables, agent, size, choose, expect, best, memory, draws, t):
-        value, kept = tables[0][t.state, t.action], tables[4]
+        value, kept = tables[0][t.state, t.action], tables[5]
         trace_decay, threshold = agent.parameters
         best_value = 0.0 if t.terminated else best(tables, tables[0], t.next_state)[1]
         target = t.reward + agent.gamma * best_value

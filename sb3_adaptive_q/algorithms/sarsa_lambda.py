@@ -60,7 +60,7 @@ def true_online_sarsa_lambda(tables, agent, size, choose, expect, best, memory, 
     step = size(memory, agent, t, value, next_value, t.reward + agent.gamma * next_value - value)
     if is_sound(step):
         trace_decay, threshold = agent.parameters
-        old_values, env = tables[4], agent.env
+        old_values, env = tables[5], agent.env
         change = value - old_values[env]
         visit(tables, env, t, step.size, mix_sizes)
         sweep(tables, env, step, size_in_trace, step.td_error + change, (1.0, agent.gamma * trace_decay, threshold))

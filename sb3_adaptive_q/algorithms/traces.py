@@ -1,9 +1,10 @@
 """
 Eligibility traces: a list of the pairs that are eligible, so that a step costs what these cost and not what the table costs.
 
-Each environment has its own list, in three arrays behind the algorithm's tables: ``places``, of shape (n_envs, n_states,
-n_actions), says where a pair stands in the list, counted from 1, or 0; ``pairs``, of shape (n_envs, longest list), holds for
-each its trace and the step size of its last visit; ``n_pairs``, of shape (n_envs,), is the length.
+Each environment has its own list, in four arrays behind the algorithm's table. ``places``, of shape (n_envs, n_states,
+n_actions), says where in the list a pair stands, counted from 1, or 0. ``pairs``, of shape (n_envs, longest list, 2), holds
+state and action of each; ``traces``, of the same shape, its trace and the step size of its last visit. ``n_pairs``, of shape
+(n_envs,), is the length of the list.
 """
 
 from collections.abc import Callable
@@ -12,13 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.checks import check_choice, check_not_negative
+from sb3_adaptive_q.algorithms.checks import check_choice, check_not_negative, check_range
 from sb3_adaptive_q.base import TabularAlgorithm
 from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.policies import check_memory
-
-#: A pair that is eligible
-PAIR = np.dtype([("state", np.int64), ("action", np.int64), ("trace", np.float64), ("size", np.float64)])
 
 
 def accumulate(trace, size):
@@ -61,28 +59,28 @@ def mix_sizes(trace, size):
 MARKS = {"accumulating": accumulate, "replacing": replace, "dutch": mix}
 
 
-def size_in_force(pair, step):
+def size_in_force(size, step):
     """
-    :param pair: an eligible pair
-    :param step: the update of the pair that is visited
-    :return: the step size of the visited pair: where there is one for the whole training, that of every pair
+    :param size: the step size that an eligible pair had when it was visited last
+    :param step: the update of the pair that is visited now
+    :return: the step size of this update: where there is one for the whole training, that of every pair
     """
     return step.size
 
 
-def size_at_visit(pair, step):
+def size_at_visit(size, step):
     """
-    :param pair: an eligible pair
-    :param step: the update of the pair that is visited
-    :return: the step size that the eligible pair had when it was visited last
+    :param size: the step size that an eligible pair had when it was visited last
+    :param step: the update of the pair that is visited now
+    :return: the former
     """
-    return pair["size"]
+    return size
 
 
-def size_in_trace(pair, step):
+def size_in_trace(size, step):
     """
-    :param pair: an eligible pair
-    :param step: the update of the pair that is visited
+    :param size: the step size that an eligible pair had when it was visited last
+    :param step: the update of the pair that is visited now
     :return: 1, for traces that have the step size in them
     """
     return 1.0
@@ -92,68 +90,64 @@ def visit(tables, env, t, size, mark):
     """
     Mark the pair that is visited, and put it on the list.
 
-    :param tables: places, pairs and their number from the second on
+    :param tables: places, pairs, traces and the number of pairs from the second on
     :param env: the number of the environment
     :param t: the transition
     :param size: the step size of the visit
     :param mark: what the visit makes of the trace
     """
-    places, pairs, n_pairs = tables[1][env], tables[2][env], tables[3]
+    places, pairs, traces, n_pairs = tables[1][env], tables[2][env], tables[3][env], tables[4]
     place = places[t.state, t.action]
     if place == 0:
         n_pairs[env] += 1
         place = n_pairs[env]
         places[t.state, t.action] = place
-        new = pairs[place - 1]
-        new["state"], new["action"], new["trace"] = t.state, t.action, 0.0
-    pair = pairs[place - 1]
-    pair["size"] = size
-    pair["trace"] = mark(pair["trace"], size)
+        pairs[place - 1, 0], pairs[place - 1, 1], traces[place - 1, 0] = t.state, t.action, 0.0
+    traces[place - 1, 0], traces[place - 1, 1] = mark(traces[place - 1, 0], size), size
 
 
 def sweep(tables, env, step, size_of, error, factors):
     """
     Move the values of all eligible pairs, let their traces decay, and drop pairs whose trace is no longer above a threshold.
 
-    :param tables: Q, places, pairs and their number
+    :param tables: Q, places, pairs, traces and the number of pairs
     :param env: the number of the environment
     :param step: the update of the pair that is visited
     :param size_of: the step size of an eligible pair
     :param error: what the values are moved by, times step size and trace
     :param factors: what the traces are multiplied with before the values move, what afterwards, and the threshold
     """
-    values, places, pairs = tables[0], tables[1][env], tables[2][env]
+    values, places, pairs, traces = tables[0], tables[1][env], tables[2][env], tables[3][env]
     before, after, threshold = factors
-    n_pairs, i = tables[3][env], 0
+    n_pairs, i = tables[4][env], 0
     while i < n_pairs:
-        pair = pairs[i]
-        state, action, trace = pair["state"], pair["action"], pair["trace"] * before
-        values[state, action] += size_of(pair, step) * error * trace
+        state, action, trace = pairs[i, 0], pairs[i, 1], traces[i, 0] * before
+        values[state, action] += size_of(traces[i, 1], step) * error * trace
         trace *= after
         if trace > threshold:
-            pair["trace"] = trace
+            traces[i, 0] = trace
             i += 1
             continue
         # The last pair of the list, which has not moved yet, takes the place
         n_pairs -= 1
-        last = pairs[n_pairs]
-        pair["state"], pair["action"], pair["trace"], pair["size"] = last["state"], last["action"], last["trace"], last["size"]
-        places[pair["state"], pair["action"]] = i + 1
+        pairs[i, 0], pairs[i, 1] = pairs[n_pairs, 0], pairs[n_pairs, 1]
+        traces[i, 0], traces[i, 1] = traces[n_pairs, 0], traces[n_pairs, 1]
+        places[pairs[i, 0], pairs[i, 1]] = i + 1
         places[state, action] = 0
-    tables[3][env] = n_pairs
+    tables[4][env] = n_pairs
 
 
 def forget(tables, env):
     """
     Empty the list, at the end of an episode.
 
-    :param tables: places, pairs and their number from the second on
+    :param tables: places, pairs, traces and the number of pairs from the second on
     :param env: the number of the environment
     """
     places, pairs = tables[1][env], tables[2][env]
-    for i in range(tables[3][env]):
-        places[pairs[i]["state"], pairs[i]["action"]] = 0
-    tables[3][env] = 0
+    for i in range(tables[4][env]):
+        places[pairs[i, 0], pairs[i, 1]] = 0
+    tables[4][env] = 0
 
 
 def longest_list(decay: float, threshold: float, n_entries: int) -> int:
@@ -208,10 +202,24 @@ class TraceAlgorithm(TabularAlgorithm):
 
     def working_arrays(self, n_envs: int, n_states: int, n_actions: int) -> dict[str, np.ndarray]:
         longest = longest_list(self.gamma * self.trace_decay, self.trace_threshold, n_states * n_actions)
-        places = (n_envs, n_states, n_actions)
-        check_memory({"places": places, "pairs": (n_envs, longest, PAIR.itemsize // 8)})
+        places, pairs = (n_envs, n_states, n_actions), (n_envs, longest, 2)
+        check_memory({"places": places, "pairs": pairs, "traces": pairs})
         return {
             "places": np.zeros(places, np.int64),
-            "pairs": np.zeros((n_envs, longest), PAIR),
+            "pairs": np.zeros(pairs, np.int64),
+            "traces": np.zeros(pairs),
             "n_pairs": np.zeros(n_envs, np.int64),
         }
+
+    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        super().check_working_arrays(arrays)
+        longest = arrays["pairs"].shape[1]
+        check_range("n_pairs", arrays["n_pairs"], longest + 1)
+        known = np.zeros_like(arrays["places"])
+        for env, n_pairs in enumerate(arrays["n_pairs"].tolist()):
+            states, actions = arrays["pairs"][env, :n_pairs].T
+            check_range("pairs", states, known.shape[1])
+            check_range("pairs", actions, known.shape[2])
+            known[env, states, actions] = np.arange(1, n_pairs + 1)
+        if (known != arrays["places"]).any() or np.count_nonzero(known) != arrays["n_pairs"].sum():
+            raise ValueError("`places` must say where in the list of `pairs` each eligible pair stands, but does not.")

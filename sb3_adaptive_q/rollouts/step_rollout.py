@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_adaptive_q.action_masks import ActionMasks
+from sb3_adaptive_q.action_masks import ALLOWED, note_mask
 from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, machine_code
@@ -36,7 +36,9 @@ class StepRollout:
         self.learner, self.draws = model.training.record, model.training.draws
         self.state_index = model.policy.state_index
         self._state_of = self.state_index.of
-        self.considered = model._considered
+        if model.considered.shape[0] != self.n_envs:
+            model.considered = np.zeros((self.n_envs, model.policy.n_actions))
+        self.considered = model.considered
         self.first_action = int(model.action_space.start)
         self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
         self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
@@ -81,8 +83,8 @@ class StepRollout:
         self.model.num_timesteps += self.n_envs
         self.infos, self.dones = infos, dones.tolist()
         self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
-        if self.model.masks is not None:
-            self._note_masks(self.model.masks)
+        if self.model.use_masking:
+            self._note_masks(self.model._working[ALLOWED])
         if True in self.dones:
             self._hand_over_episodes()
         self.show(actions, new_obs, rewards, dones, infos)
@@ -189,13 +191,13 @@ class StepRollout:
         behaviour.show(self.tables, self.states[i], self.considered[i])
         return int(as_python(behaviour.choose)(self.tables, self.states[i], self.model.exploration_rate, self.draws))
 
-    def _note_masks(self, masks: ActionMasks) -> None:
+    def _note_masks(self, allowed: np.ndarray) -> None:
         """Take over the masks of the states in which an action is chosen next."""
         for i, (_, next_state, terminated, done, start_state) in enumerate(self.transitions):
             if not terminated:
-                masks.note(next_state, self.infos[i])
+                note_mask(allowed, next_state, self.infos[i])
             if done:
-                masks.note(start_state, self.env.unwrapped.reset_infos[i])
+                note_mask(allowed, start_state, self.env.unwrapped.reset_infos[i])
 
     def refuse_reward(self, i: int, reward: float) -> NoReturn:
         """

@@ -68,8 +68,9 @@ class SequenceTableEnv(gym.Env):
 def dense_trace(model: TabularAlgorithm) -> np.ndarray:
     """The traces of the only environment, of shape (n_states, n_actions)."""
     trace = np.zeros(model.q_table.shape)
-    for pair in model._working["pairs"][0, : model._working["n_pairs"][0]]:
-        trace[pair["state"], pair["action"]] = pair["trace"]
+    n_pairs = model._working["n_pairs"][0]
+    states, actions = model._working["pairs"][0, :n_pairs].T
+    trace[states, actions] = model._working["traces"][0, :n_pairs, 0]
     return trace
 
 
