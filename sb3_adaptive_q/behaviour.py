@@ -22,11 +22,7 @@ def first_greedy(table, state):
     :param state: the row
     :return: the action of the largest value, the first of them in a tie
     """
-    best_action, best_value = 0, table[state, 0]
-    for action in range(1, table.shape[1]):
-        if table[state, action] > best_value:
-            best_action, best_value = action, table[state, action]
-    return best_action
+    return first_best((), table, state)[0]
 
 
 def largest(table, state):
@@ -74,8 +70,11 @@ def first_best(tables, values, state):
     :param state: the row
     :return: the action of the largest value, the first of them in a tie; and that value
     """
-    action = first_greedy(values, state)
-    return action, values[state, action]
+    best_action, best_value = 0, values[state, 0]
+    for action in range(1, values.shape[1]):
+        if values[state, action] > best_value:
+            best_action, best_value = action, values[state, action]
+    return best_action, best_value
 
 
 def show_all(tables, state, row):

@@ -59,6 +59,17 @@ def greedy_value(tables, agent, expect, best, t, action):
     return best(tables, tables[0], t.next_state)[1]
 
 
+def in_circle(place, taken):
+    """
+    :param place: less than a turn away
+    :param taken: what stands in a circle
+    :return: the place in the circle; without a division, which takes as long as the rest of a step
+    """
+    if place < 0:
+        return place + len(taken)
+    return place - len(taken) if place >= len(taken) else place
+
+
 def n_step_return(tables, agent, best, taken, rewards, oldest, n_taken, value):
     """
     :param tables: unused
@@ -71,10 +82,10 @@ def n_step_return(tables, agent, best, taken, rewards, oldest, n_taken, value):
     :param value: the value of the state that was reached last
     :return: r_1 + γ r_2 + ... + γ^n value
     """
-    place = (oldest + n_taken - 1) % len(taken)
+    place = in_circle(oldest + n_taken - 1, taken)
     for _ in range(n_taken):
         value = rewards[place] + agent.gamma * value
-        place = place - 1 if place > 0 else len(taken) - 1
+        place = in_circle(place - 1, taken)
     return value
 
 
@@ -93,13 +104,13 @@ def tree_backup_return(tables, agent, best, taken, rewards, oldest, n_taken, val
     :return: r_1 + γ G, where G is the return that follows if the next action is the first of the best ones, and else the value
         of the next state
     """
-    place = (oldest + n_taken - 1) % len(taken)
+    place = in_circle(oldest + n_taken - 1, taken)
     value = rewards[place] + agent.gamma * value
     for _ in range(n_taken - 1):
         greedy_action, best_value = best(tables, tables[0], taken[place, 0])
         if taken[place, 1] != greedy_action:
             value = best_value
-        place = place - 1 if place > 0 else len(taken) - 1
+        place = in_circle(place - 1, taken)
         value = rewards[place] + agent.gamma * value
     return value
 
@@ -133,7 +144,7 @@ def make_n_step(
             t.state, t.action, t.state, t.action, 0.0, value, next_value, td_error, agent.progress, agent.gamma, agent.mu
         )  # fmt: skip
         oldest, n_taken = ends[env, 0], ends[env, 1]
-        newest = (oldest + n_taken) % len(taken)
+        newest = in_circle(oldest + n_taken, taken)
         taken[newest, 0], taken[newest, 1], rewards[newest] = t.state, t.action, t.reward
         n_taken += 1
         while n_taken == len(taken) or (t.done and n_taken > 0):
@@ -150,7 +161,7 @@ def make_n_step(
             )  # fmt: skip
             if not is_sound(update):
                 break
-            oldest = oldest + 1 if oldest + 1 < len(taken) else 0
+            oldest = in_circle(oldest + 1, taken)
             n_taken -= 1
         ends[env, 0], ends[env, 1] = oldest, n_taken
         if not chooses_before_update and not t.terminated:
