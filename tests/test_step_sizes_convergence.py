@@ -68,10 +68,13 @@ class TestStationaryNoise:
 
     @pytest.mark.parametrize("name", ["harmonic", "polynomial", "kesten", "search_then_converge", "horizon"])
     def test_what_falls_converges_to_the_mean(self, name: str) -> None:
-        """The standard error of 1/n at n = 20 000 is 0.007; the slowest of these, polynomial, leaves 0.013."""
+        """
+        Of these Kesten's is the largest in the long run: 20/n, as every second error changes its sign. With a step size of
+        c/n the estimate has a variance of c² / ((2 c - 1) n), here a deviation of 0.023. Five of them are allowed.
+        """
         targets = 1.0 + np.random.default_rng(4).normal(size=20_000)
         values, sizes = estimate(name, targets, start=-5.0)
-        assert abs(values[-1] - 1.0) < 0.07
+        assert abs(values[-1] - 1.0) < 5.0 * 0.023
         assert sizes[-1] < 0.02
 
 
