@@ -10,7 +10,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 from sb3_adaptive_q.envs.hidden import ClockDynamics, HiddenChangeEnv, OutcomeArrays
 from sb3_adaptive_q.envs.tables import Garnet, Start, Table
 from sb3_adaptive_q.envs.tables.types import start_in
-from sb3_adaptive_q.vec_env.dynamics import Grid, register_dynamics
+from sb3_adaptive_q.vec_env import Grid, register_dynamics
 
 #: The means move every so many steps. A pair of the 120 is met about as seldom, so a finer walk would learn the same
 BLOCK = 100

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 import gymnasium as gym
 from gymnasium import spaces
 
-from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, register_dynamics
+from sb3_adaptive_q.vec_env import Dynamics, Grid, register_dynamics
 
 
 class DriftingMeanEnv(gym.Env[Any, Any]):

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.tables import Start, Table
-from sb3_adaptive_q.vec_env.dynamics import Dynamics
+from sb3_adaptive_q.vec_env import Dynamics
 
 
 class HiddenChangeEnv(gym.Env[Any, Any]):

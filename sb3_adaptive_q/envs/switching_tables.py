@@ -9,7 +9,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.hidden import ClockDynamics, HiddenChangeEnv, OutcomeArrays
 from sb3_adaptive_q.envs.tables import Start, Table, blocking_mazes, moving_goals, ring_walk, shortcut_mazes
-from sb3_adaptive_q.vec_env.dynamics import Grid, register_dynamics
+from sb3_adaptive_q.vec_env import Grid, register_dynamics
 
 #: Changes that never stop
 _ENDLESS = 2**50
