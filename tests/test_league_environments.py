@@ -1,9 +1,9 @@
 """The environments of the literature: their printed optima, gymnasium's contract, their rules, and changes that are hidden."""
 
+import copy
 import warnings
 
 import gymnasium as gym
-import numba
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -11,6 +11,7 @@ from helpers.decision_processes import solved
 from scipy.stats import chi2
 
 from sb3_adaptive_q import CompiledVecEnv
+from sb3_adaptive_q.compiled.jit import as_python, machine_code
 from sb3_adaptive_q.envs import PROBLEMS, TableEnv
 from sb3_adaptive_q.envs.drifting_garnet import DriftingGarnetDynamics, DriftingGarnetEnv
 from sb3_adaptive_q.envs.drifting_mean import DriftingMeanDynamics, DriftingMeanEnv
@@ -24,6 +25,7 @@ from sb3_adaptive_q.planning import (
     reference,
     value_iteration,
 )
+from sb3_adaptive_q.random_numbers import read_pcg64
 
 #: Of every statistical test here: how often it would fail for a correct program, were its seed not fixed
 ERROR_RATE = 1e-6
@@ -314,6 +316,12 @@ def twin_of(env):
     return DYNAMICS[type(env)](env, None)
 
 
+def words_of(generator):
+    words = np.zeros(4, np.uint64)
+    read_pcg64(generator, words)
+    return words
+
+
 class TestHiddenChanges:
     def test_the_goal_jumps_when_it_should(self):
         env = gym.make("MovingGoal-v0", period=50).unwrapped
@@ -408,18 +416,17 @@ class TestHiddenDynamics:
             env.period = 30
         env.reset(seed=7)
         twin = twin_of(env)
-        generator = np.random.default_rng()
-        generator.bit_generator.state = env.np_random.bit_generator.state
+        generator = words_of(env.np_random)
         state, actions = twin.read_state(), np.random.default_rng(0)
         for step in range(1500):
             action = int(actions.integers(env.action_space.n))
             observation, reward, terminated, *_ = env.step(action)
-            state, our_reward, our_terminated = twin.step(twin.parameters, state, action, generator)
+            state, our_reward, our_terminated = as_python(twin.step)(twin.parameters, state, action, generator)
             assert (state, our_reward, bool(our_terminated)) == (twin.read_state(), reward, terminated)
             assert twin.index(twin.parameters, state) == observation
             if terminated or step % 40 == 39:
                 observation, _ = env.reset()
-                state = twin.reset(twin.parameters, state, generator)
+                state = as_python(twin.reset)(twin.parameters, state, generator)
                 assert state == twin.read_state() and twin.index(twin.parameters, state) == observation
         assert len(state) <= 8 and all(type(part) is float for part in state)
 
@@ -431,9 +438,10 @@ class TestHiddenDynamics:
             env.period = 3000
         env.reset(seed=2)
         twin = twin_of(env)
-        step, reset = numba.njit(type(twin).step), numba.njit(type(twin).reset)
 
-        def play(parameters, state, generator, n_actions, step, reset):
+        step, reset = type(twin).step, type(twin).reset
+
+        def play(parameters, state, generator, n_actions):
             total = 0.0
             for i in range(10_000):
                 state, reward, terminated = step(parameters, state, i * i % n_actions, generator)
@@ -442,10 +450,9 @@ class TestHiddenDynamics:
                     state = reset(parameters, state, generator)
             return total, state
 
-        arguments = (twin.parameters, twin.read_state())
-        n_actions = int(env.action_space.n)
-        compiled = numba.njit(play)(*arguments, np.random.default_rng(0), n_actions, step, reset)
-        assert compiled == play(*arguments, np.random.default_rng(0), n_actions, type(twin).step, type(twin).reset)
+        arguments = (twin.parameters, twin.read_state(), words_of(np.random.default_rng(0)), int(env.action_space.n))
+        compiled = machine_code(play, arguments)(*copy.deepcopy(arguments))
+        assert compiled == as_python(play)(*arguments)
 
     @pytest.mark.parametrize("name", HIDDEN)
     def test_a_state_is_written_as_it_is_read(self, name):

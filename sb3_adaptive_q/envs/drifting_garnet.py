@@ -10,6 +10,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 from sb3_adaptive_q.envs.hidden import ClockDynamics, HiddenChangeEnv, OutcomeArrays
 from sb3_adaptive_q.envs.tables import Garnet, Start, Table
 from sb3_adaptive_q.envs.tables.types import start_in
+from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env import Grid, register_dynamics
 
 #: The means move every so many steps. A pair of the 120 is met about as seldom, so a finer walk would learn the same
@@ -136,7 +137,7 @@ class DriftingGarnetDynamics(ClockDynamics):
         n_blocks = parameters.mean_rewards.shape[0]
         block = int(clock) // BLOCK % (2 * n_blocks)
         block = min(block, 2 * n_blocks - 1 - block)
-        number = generator.random()
+        number = random_float(generator)
         outcome = 0
         for i in range(parameters.cumulative.shape[2] - 1):
             outcome += 1 if parameters.cumulative[row, action, i] <= number else 0

@@ -5,6 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 import gymnasium as gym
 from gymnasium import spaces
 
+from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env import Dynamics, Grid, register_dynamics
 
 
@@ -74,6 +75,8 @@ class DriftingMeanDynamics(Dynamics):
     :param grid: unused
     """
 
+    draws_from_words = True
+
     def __init__(self, env: gym.Env, grid: Grid | None) -> None:
         super().__init__(env, grid)
         assert isinstance(env, DriftingMeanEnv)
@@ -119,8 +122,8 @@ class DriftingMeanDynamics(Dynamics):
         :return: the mean afterwards, the reward, and that the episode goes on
         """
         move = parameters.step_of_mean
-        mean = state[0] + (move if generator.random() < 0.5 else -move)
-        reward = mean + (1.0 if generator.random() < 0.5 else -1.0)
+        mean = state[0] + (move if random_float(generator) < 0.5 else -move)
+        reward = mean + (1.0 if random_float(generator) < 0.5 else -1.0)
         return (mean,), reward, False
 
     @staticmethod

@@ -9,6 +9,7 @@ from gymnasium import spaces
 from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.tables import Start, Table
+from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env import Dynamics
 
 
@@ -115,6 +116,8 @@ class ClockDynamics(Dynamics):
     :param grid: unused
     """
 
+    draws_from_words = True
+
     def read_state(self) -> tuple[float, float]:
         """
         Read the environment's state.
@@ -141,7 +144,7 @@ class ClockDynamics(Dynamics):
         :param generator: to draw from
         :return: the state to begin with
         """
-        first = np.searchsorted(parameters.start, generator.random(), side="right")
+        first = np.searchsorted(parameters.start, random_float(generator), side="right")
         return (float(first if first < parameters.start.shape[0] else 0), state[1])
 
     @staticmethod

@@ -9,6 +9,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.hidden import ClockDynamics, HiddenChangeEnv, OutcomeArrays
 from sb3_adaptive_q.envs.tables import Start, Table, blocking_mazes, moving_goals, ring_walk, shortcut_mazes
+from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env import Grid, register_dynamics
 
 #: Changes that never stop
@@ -120,7 +121,7 @@ class SwitchingTablesDynamics(ClockDynamics):
         row, clock = int(state[0]), state[1]
         changes = min(int(clock) // parameters.period, parameters.n_changes)
         table = changes % parameters.cumulative.shape[0]
-        number = generator.random()
+        number = random_float(generator)
         outcome = 0
         for i in range(parameters.cumulative.shape[3] - 1):
             outcome += 1 if parameters.cumulative[table, row, action, i] <= number else 0
