@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.planning.sweeps import mean_return, sweep
+from sb3_adaptive_q.planning.sweeps import sweep_all, sweep_reached
 from sb3_adaptive_q.planning.tabular_model import Array, TabularModel
 
 #: How exact values are that have no horizon, in units of the largest value or of 1
@@ -58,12 +58,11 @@ def expected_return(source: Any, policy: Any, gamma: float = 1.0, horizon: int |
     :raises ValueError: as :func:`policy_evaluation`; states that the policy never comes to play no part
     """
     model, rows = _under(TabularModel.of(source), policy)
-    n_sweeps, smallest_change = _limits(gamma, horizon)
-    arrays = (rows, model.first, model.next_states, model.probabilities, model.rewards)
-    mean, change = mean_return(model.start, *arrays, float(gamma), np.array([n_sweeps, smallest_change]))
+    limits, values = _limits(gamma, horizon), np.zeros(model.n_states)
+    change = sweep_reached(model, rows, values, gamma, limits)
     if horizon is None:
-        _check_convergence(change, smallest_change, gamma)
-    return float(mean)
+        _check_convergence(change, limits[1], gamma)
+    return float(model.start @ values)
 
 
 def optimal_return(source: Any, gamma: float = 1.0, horizon: int | None = None) -> float:
@@ -104,7 +103,7 @@ def average_reward(source: Any, policy: Any = None) -> float:
     for _ in range(_MOST_SWEEPS_FOR_GAIN):
         before = values
         values = before.copy()
-        _sweep(model, rows, values, 1.0, 0.0, (1, 0.0))
+        sweep_all(model, rows, values, 1.0, 0.0, (1, 0.0))
         gains = values - before  # the gain lies between the least and the largest (Odoni, 1969)
         low, high = float(gains.min()), float(gains.max())
         if high - low <= 2 * accuracy:
@@ -132,15 +131,10 @@ def solve(model: TabularModel, rows: Array, gamma: float, horizon: int | None, e
     """
     values = np.zeros(model.n_states)
     limits = _limits(gamma, horizon)
-    change = _sweep(model, rows, values, gamma, epsilon, limits)
+    change = sweep_all(model, rows, values, gamma, epsilon, limits)
     if horizon is None:
         _check_convergence(change, limits[1], gamma)
     return values
-
-
-def _sweep(model: TabularModel, rows: Array, values: Array, gamma: float, epsilon: float, limits: tuple[int, float]) -> float:
-    arrays = (rows, model.first, model.next_states, model.probabilities, model.rewards)
-    return sweep(values, *arrays, float(gamma), float(epsilon), np.array(limits))
 
 
 def _limits(gamma: float, horizon: int | None) -> tuple[int, float]:

@@ -1,51 +1,80 @@
 """
-The loops of dynamic programming, compiled.
+The loops of dynamic programming, as plain functions that become machine code.
 
-A table is handed over as arrays: ``first[row]`` to ``first[row + 1]`` are the places of a row's successors in
+A table is handed over as four arrays: ``first[row]`` to ``first[row + 1]`` are the places of a row's successors in
 ``next_states`` and ``probabilities``; what their probabilities lack to 1 ends the episode; ``rewards`` has the mean reward
 of each row. ``limits`` are two numbers: how many sweeps to make, and at which change from one sweep to the next to stop
 earlier, in units of the largest value or of 1, if that is more.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-#: After how many sweeps to see whether the values still change, which takes a third of a sweep
+from sb3_adaptive_q.compiled.jit import as_python, is_disabled, machine_code
+from sb3_adaptive_q.planning.tabular_model import Array, TabularModel
+
+#: After how many sweeps to see whether the values of reached states still change, which takes half of a sweep
 _CHECKED_EVERY = 16
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+_code: dict[Callable[..., Any], Callable[..., Any]] = {}
 
 
-@_compiled
-def sweep(
-    values: Any,
-    rows: Any,
-    first: Any,
-    next_states: Any,
-    probabilities: Any,
-    rewards: Any,
-    gamma: float,
-    epsilon: float,
-    limits: Any,
+def sweep_all(
+    model: TabularModel, rows: Array, values: Array, gamma: float, epsilon: float, limits: tuple[int, float]
 ) -> float:
     """
     Replace the values of all states by what one step and the values after it are worth, again and again.
 
-    :param values: of shape (n_states,); changed in place
+    :param model: the table
     :param rows: the rows of the table to choose from in each state, of shape (n_states, n_choices)
-    :param first: of the table
-    :param next_states: of the table
-    :param probabilities: of the table
-    :param rewards: of the table
+    :param values: of shape (n_states,), float64; changed in place
     :param gamma: the discount factor
     :param epsilon: the probability of a random choice instead of the best
     :param limits: when to stop
     :return: the change in the last sweep
     """
+    rows = np.ascontiguousarray(rows)
+    return _run(_sweep, values, values.copy(), rows, _arrays(model), float(gamma), float(epsilon), np.array(limits, float))
+
+
+def sweep_reached(model: TabularModel, rows: Array, values: Array, gamma: float, limits: tuple[int, float]) -> float:
+    """
+    Do the same for a policy, in the states alone that it comes to from the start.
+
+    :param model: the table
+    :param rows: the row of the table that the policy takes in each state, of shape (n_states,)
+    :param values: of shape (n_states,), float64; those of reached states are set
+    :param gamma: the discount factor
+    :param limits: when to stop
+    :return: the change in the last sweep that was looked at; 0 if none was
+    """
+    n_states, n_successors = model.n_states, len(model.next_states)
+    # Unsigned indices spare the check for negative ones, and with it nearly half of the time
+    places = (np.empty(n_states, np.int64), np.full(n_states, -1), np.zeros(n_states + 1, np.uint64))
+    successors, weights = np.empty(n_successors, np.uint64), np.empty(n_successors)
+    chain = (successors, weights, np.empty(n_states), np.zeros(n_states), np.zeros(n_states))
+    rows = np.ascontiguousarray(rows)
+    return _run(
+        _sweep_reached, values, model.start, rows, _arrays(model), float(gamma), np.array(limits, float), places, chain
+    )
+
+
+def _arrays(model: TabularModel) -> tuple[Array, ...]:
+    return model.first, model.next_states, model.probabilities, model.rewards
+
+
+def _run(function: Callable[..., float], *arguments: Any) -> float:
+    """Run machine code; the arguments have the same types in every call."""
+    if function not in _code:
+        _code[function] = as_python(function) if is_disabled() else machine_code(function, arguments)
+    return float(_code[function](*arguments))
+
+
+def _sweep(values: Any, old: Any, rows: Any, table: tuple[Any, ...], gamma: float, epsilon: float, limits: Any) -> float:
+    first, next_states, probabilities, rewards = table
     n_states, n_choices = rows.shape
-    old = values.copy()
     change = np.inf
     for _ in range(int(limits[0])):
         difference, largest = 0.0, 1.0
@@ -63,80 +92,74 @@ def sweep(
             difference = max(difference, abs(value - old[state]))
             largest = max(largest, abs(value))
             values[state] = value
-        old[:] = values
+        for state in range(n_states):
+            old[state] = values[state]
         change = difference / largest
         if change <= limits[1]:
             break
     return change
 
 
-@_compiled
-def mean_return(
-    start: Any, rows: Any, first: Any, next_states: Any, probabilities: Any, rewards: Any, gamma: float, limits: Any
-) -> tuple[float, float]:
-    """
-    Evaluate a policy backward, in the states alone that it comes to from the start.
-
-    :param start: the start distribution, of shape (n_states,)
-    :param rows: the row of the table that the policy takes in each state, of shape (n_states,)
-    :param first: of the table
-    :param next_states: of the table
-    :param probabilities: of the table
-    :param rewards: of the table
-    :param gamma: the discount factor
-    :param limits: when to stop
-    :return: the mean value over the start distribution, and the change in the last sweeps; 0 if there was no need to know
-    """
-    states, numbers = _reachable(start, rows, first, next_states, probabilities)
-    # Unsigned indices spare the check for negative ones, and with it nearly half of the time
-    ends = np.zeros(len(states) + 1, np.uint64)
-    for i, state in enumerate(states):
-        ends[i + 1] = ends[i] + np.uint64(first[rows[state] + 1] - first[rows[state]])
-    successors, weights = np.empty(int(ends[-1]), np.uint64), np.empty(int(ends[-1]))
-    gains = np.empty(len(states))
-    for i, state in enumerate(states):
-        row = rows[state]
-        gains[i] = rewards[row]
-        for j in range(first[row + 1] - first[row]):
-            successors[int(ends[i]) + j] = numbers[next_states[first[row] + j]]
-            weights[int(ends[i]) + j] = gamma * probabilities[first[row] + j]
-
-    old, values = np.zeros(len(states)), np.zeros(len(states))
+def _sweep_reached(
+    values: Any, start: Any, rows: Any, table: tuple[Any, ...], gamma: float, limits: Any, places: Any, chain: Any
+) -> float:
+    states, _, ends = places
+    successors, weights, gains, old, new = chain
+    n_reached = _number_reached_states(start, rows, table, places)
+    _gather(rows, table, gamma, places, chain, n_reached)
     change = 0.0
-    for sweep_number in range(1, int(limits[0]) + 1):
-        for i in range(len(states)):
+    for sweep in range(1, int(limits[0]) + 1):
+        for i in range(n_reached):
             value = gains[i]
             for j in range(ends[i], ends[i + 1]):
                 value += weights[j] * old[successors[j]]
-            values[i] = value
-        old, values = values, old
-        if sweep_number % _CHECKED_EVERY == 0:
-            change = np.abs(old - values).max() / max(1.0, np.abs(old).max())
+            new[i] = value
+        old, new = new, old
+        if sweep % _CHECKED_EVERY == 0:
+            difference, largest = 0.0, 1.0
+            for i in range(n_reached):
+                difference = max(difference, abs(old[i] - new[i]))
+                largest = max(largest, abs(old[i]))
+            change = difference / largest
             if change <= limits[1]:
                 break
-    total = 0.0
-    for i, state in enumerate(states):
-        total += start[state] * old[i]
-    return total, change
+    for i in range(n_reached):
+        values[states[i]] = old[i]
+    return change
 
 
-@_compiled
-def _reachable(start: Any, rows: Any, first: Any, next_states: Any, probabilities: Any) -> tuple[Any, Any]:
-    """The states that a policy comes to, and the place of each state among them, -1 where it is not."""
-    numbers = np.full(len(rows), -1)
-    states = np.empty(len(rows), np.int64)
-    found = 0
+def _number_reached_states(start: Any, rows: Any, table: Any, places: Any) -> int:
+    """Collect the states that a policy comes to, and the place of each state among them; -1 means nowhere."""
+    states, numbers, _ = places
+    first, next_states, probabilities, _ = table
+    n_found = 0
     for state in range(len(rows)):
         if start[state] > 0.0:
-            numbers[state], states[found] = found, state
-            found += 1
+            numbers[state], states[n_found] = n_found, state
+            n_found += 1
     looked_at = 0
-    while looked_at < found:
+    while looked_at < n_found:
         row = rows[states[looked_at]]
         for i in range(first[row], first[row + 1]):
             state = next_states[i]
             if numbers[state] < 0 and probabilities[i] > 0.0:
-                numbers[state], states[found] = found, state
-                found += 1
+                numbers[state], states[n_found] = n_found, state
+                n_found += 1
         looked_at += 1
-    return states[:found], numbers
+    return n_found
+
+
+def _gather(rows: Any, table: Any, gamma: float, places: Any, chain: Any, n_reached: int) -> None:
+    """Copy what the policy meets, one reached state after another."""
+    states, numbers, ends = places
+    successors, weights, gains, _, _ = chain
+    first, next_states, probabilities, rewards = table
+    end = 0
+    for place in range(n_reached):
+        row = rows[states[place]]
+        gains[place] = rewards[row]
+        for i in range(first[row], first[row + 1]):
+            if probabilities[i] > 0.0:  # else it may lead to where the policy never comes
+                successors[end], weights[end] = numbers[next_states[i]], gamma * probabilities[i]
+                end += 1
+        ends[place + 1] = end

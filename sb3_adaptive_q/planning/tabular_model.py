@@ -140,7 +140,7 @@ class TabularModel:
 
 
 def _distribution(name: str, probabilities: Any, length: int) -> Array:
-    values = np.asarray(probabilities, np.float64)
+    values = np.ascontiguousarray(probabilities, np.float64)
     if values.shape != (length,) or not length:
         raise ValueError(f"There must be {max(length, 1)} probabilities in {name}, but its shape is {values.shape}.")
     if not (values >= 0.0).all() or abs(values.sum() - 1.0) > 1e-8:
