@@ -11,7 +11,7 @@ from helpers.decision_processes import solved
 from scipy.stats import chi2
 
 from sb3_adaptive_q import CompiledVecEnv
-from sb3_adaptive_q.compiled.jit import as_python, machine_code
+from sb3_adaptive_q.compiled.jit import as_python, is_disabled, machine_code
 from sb3_adaptive_q.envs import PROBLEMS, TableEnv
 from sb3_adaptive_q.envs.drifting_garnet import DriftingGarnetDynamics, DriftingGarnetEnv
 from sb3_adaptive_q.envs.drifting_mean import DriftingMeanDynamics, DriftingMeanEnv
@@ -430,6 +430,7 @@ class TestHiddenDynamics:
                 assert state == twin.read_state() and twin.index(twin.parameters, state) == observation
         assert len(state) <= 8 and all(type(part) is float for part in state)
 
+    @pytest.mark.skipif(is_disabled(), reason="Numba is switched off")
     @pytest.mark.parametrize("name", ["moving_goal", "drifting_garnet", "drift_01"])
     def test_compiled(self, name):
         """10 000 steps across changes as machine code, and as Python."""
