@@ -2,6 +2,7 @@
 
 import threading
 import warnings
+import weakref
 from collections.abc import Callable
 from math import inf
 from typing import Any, ClassVar, TypeVar
@@ -38,6 +39,10 @@ NO_END = 2**62
 
 #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
 _SETTING_UP = threading.Lock()
+
+
+class _Training:
+    """One call of ``learn``."""
 
 
 class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
@@ -211,7 +216,7 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         self._working: dict[str, np.ndarray] = {}
         #: For each environment, the values that its last action was chosen from
         self.considered = np.zeros((self.n_envs, self.policy.n_actions))
-        self._learning = threading.Lock()
+        self._learning: weakref.ref[_Training] | None = None
         self._next_actions: np.ndarray | None = None
         self._last_dump = 0
         self._install_own_method()
@@ -229,7 +234,7 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._learning = threading.Lock()
+        self._learning = None
         if "policy" in state:
             self._share_mu()
             self._choose_functions()
@@ -303,10 +308,11 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             finite number
         :raises RuntimeError: if the model is learning already
         """
-        if not self._learning.acquire(blocking=False):
-            raise RuntimeError("This model is learning already: a callback or another thread cannot let it learn once more.")
+        training = self._claim()
         try:
-            total_timesteps, callback = self._begin(total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar)
+            total_timesteps, callback = self._begin(
+                total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
+            )
             step_locals = locals()
             callback.on_training_start(step_locals, globals())
             rollout = self._make_rollout(callback, step_locals)
@@ -329,8 +335,21 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
             raise
         finally:
-            self._learning.release()
+            self._learning = None
+            del training
         return self
+
+    def _claim(self) -> _Training:
+        """
+        Mark the model as learning, by a weak reference to what the caller holds: even where an interrupt keeps the caller from
+        taking the mark off, it ends with the call.
+        """
+        training = _Training()
+        with _SETTING_UP:
+            if self._learning is not None and self._learning() is not None:
+                raise RuntimeError("This model is learning already: a callback or another thread cannot let it learn once more.")
+            self._learning = weakref.ref(training)
+        return training
 
     def _begin(
         self, total_timesteps: int, callback: MaybeCallback, log_interval: int | None, tb_log_name: str | None,
@@ -471,6 +490,9 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         super().set_env(env, force_reset)
         self._next_actions = None
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_learning", "_working", "choices", "considered", "lr_schedule", "episode_series"]
 
     @staticmethod
     def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:

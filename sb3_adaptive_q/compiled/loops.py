@@ -256,7 +256,7 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
             reward = np.float64(np.float32(reward))  # as a VecEnv hands it on
             done = terminated or length >= limit
             if done:
-                place = reset(parameters, generator)
+                place = reset(parameters, place, generator)
                 start_state = index(parameters, place)
                 dones[n_steps, 0] = True
                 ended = episodes[n_ended]
@@ -326,7 +326,7 @@ def make_several_loop(learn_one, reset, step, index, load_state, store_state, na
                 reward = np.float64(np.float32(reward))
                 done = terminated or env.length >= limit
                 if done:
-                    place = reset(parameters, generators[i])
+                    place = reset(parameters, place, generators[i])
                     start_state = index(parameters, place)
                     dones[n_steps, i] = True
                     ended = episodes[n_ended]
