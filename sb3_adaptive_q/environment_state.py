@@ -39,11 +39,13 @@ _STATE_OF_ENV: dict[type[gym.Env], tuple[str, ...]] = {
     AcrobotEnv: ("state",),
     PendulumEnv: ("state",),
 }
-#: What wrappers keep from step to step; a TimeLimit is known by its name, as rl_zoo3 has one of its own
+_TIME_LIMIT = "gymnasium.wrappers.common:TimeLimit"
+#: rl_zoo3 puts a class of its own in the place of gymnasium's
+_SAME_AS = {"rl_zoo3.gym_patches:PatchedTimeLimit": _TIME_LIMIT}
+#: What wrappers keep from step to step
 _STATE_OF_WRAPPER: dict[str, tuple[str, ...]] = {
     path_of(Monitor): ("rewards", "needs_reset", "total_steps", "current_reset_info"),
-    "gymnasium.wrappers.common:TimeLimit": ("_elapsed_steps",),
-    "rl_zoo3.gym_patches:PatchedTimeLimit": ("_elapsed_steps",),
+    _TIME_LIMIT: ("_elapsed_steps",),
     **{path_of(kind): () for kind in (OrderEnforcing, PassiveEnvChecker, DiscretizeObservation)},
     **{path_of(kind): () for kind in (TransformAction, TransformObservation, TransformReward)},
 }
@@ -72,7 +74,7 @@ def write_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
     """
     envs = _single_envs(env)
     if len(envs) != len(states):
-        raise ValueError(f"The training had {len(states)} environments, but got {len(envs)}: please hand over as many.")
+        raise ValueError(f"the training had {len(states)} environments, but got {len(envs)}")
     for each, state in zip(envs, states, strict=True):
         _check_alike(each, state)
     env.reset()
@@ -86,35 +88,45 @@ def _single_envs(env: VecEnv) -> list[gym.Env]:
     return env.envs
 
 
-def _layers(env: gym.Env) -> Iterator[gym.Env]:
-    """The wrappers from the outside to the inside, and the environment."""
-    while isinstance(env, gym.Wrapper):
-        yield env
-        env = env.env
-    yield env
+def _layers(env: gym.Env) -> Iterator[tuple[str, Callable[[], Any], Callable[[Any], None]]]:
+    """
+    The wrappers that keep something, from the outside to the inside, and the environment: of each the name of its class, a
+    function that reads its state, and one that puts a state back.
+    """
+    layer = env
+    while isinstance(layer, gym.Wrapper):
+        if _state_names(layer) != ():
+            yield _class_name(layer), *_access(layer, env)
+        layer = layer.env
+    yield _class_name(layer), *_access(layer, env)
+
+
+def _class_name(layer: gym.Env) -> str:
+    path = path_of(type(layer))
+    return _SAME_AS.get(path, path)
 
 
 def _read(env: gym.Env) -> dict[str, Any]:
-    generator = env.unwrapped.np_random.bit_generator
     return {
-        "generator": dict(generator.state),
-        "layers": [{"class": path_of(type(layer)), "state": _access(layer, env)[0]()} for layer in _layers(env)],
+        "generator": dict(env.unwrapped.np_random.bit_generator.state),
+        "layers": [{"class": name, "state": read()} for name, read, _ in _layers(env)],
     }
 
 
 def _check_alike(env: gym.Env, state: dict[str, Any]) -> None:
-    ours, theirs = [path_of(type(layer)) for layer in _layers(env)], [layer["class"] for layer in state["layers"]]
+    ours, theirs = [name for name, _, _ in _layers(env)], [layer["class"] for layer in state["layers"]]
     if ours != theirs:
-        raise ValueError(f"The training's environment was {' around '.join(theirs)}, but got {' around '.join(ours)}.")
-    kinds = type(env.unwrapped.np_random.bit_generator).__name__, state["generator"]["bit_generator"]
+        told = [" around ".join(name.rpartition(":")[2] for name in names) for names in (theirs, ours)]
+        raise ValueError(f"the training's environment was {told[0]}, but got {told[1]}")
+    kinds = state["generator"]["bit_generator"], type(env.unwrapped.np_random.bit_generator).__name__
     if kinds[0] != kinds[1]:
-        raise ValueError(f"The training's environment drew from a {kinds[1]}, but got one that draws from a {kinds[0]}.")
+        raise ValueError(f"the training's environment drew from a {kinds[0]}, but got one that draws from a {kinds[1]}")
 
 
 def _write(env: gym.Env, state: dict[str, Any]) -> None:
     env.unwrapped.np_random.bit_generator.state = state["generator"]
-    for layer, saved in zip(_layers(env), state["layers"], strict=True):
-        _access(layer, env)[1](saved["state"])
+    for (_, _, write), saved in zip(_layers(env), state["layers"], strict=True):
+        write(saved["state"])
 
 
 def _access(layer: gym.Env, env: gym.Env) -> tuple[Callable[[], Any], Callable[[Any], None]]:
@@ -143,7 +155,7 @@ def _state_names(layer: gym.Env) -> tuple[str, ...] | None:
     if {"step", "reset"} & set(vars(layer)):  # it has functions of its own, which may keep more
         return None
     if isinstance(layer, gym.Wrapper):
-        return _STATE_OF_WRAPPER.get(path_of(type(layer)))
+        return _STATE_OF_WRAPPER.get(_class_name(layer))
     for kind, names in _STATE_OF_ENV.items():
         if type(layer).step is kind.step and type(layer).reset is kind.reset:
             return names

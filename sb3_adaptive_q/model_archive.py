@@ -177,11 +177,12 @@ def _check_members(name: str, members: list[zipfile.ZipInfo], size: int) -> None
     if any(each.endswith(".pth") for each in names):
         raise HoldsPickles(
             f"The file {name} holds pickled objects, as files of Stable-Baselines3 and of this package's first version do: to "
-            "read it may execute what is in it. If you trust its origin, pass `allow_pickle=True`."
+            "read it may execute what is in it. If you trust its origin, pass `allow_pickle=True` to `load`."
         )
     if len(names) != len(MEMBERS) or set(names) != MEMBERS:
         listed = ", ".join(map(repr, names[:10])) + (", ..." if len(names) > 10 else "")
-        raise ValueError(f"The file {name} is no file of a model: its members are {listed}, not {', '.join(sorted(MEMBERS))}.")
+        expected = ", ".join(sorted(MEMBERS))
+        raise ValueError(f"The file {name} is damaged, or no file of a model: its members are {listed}, not {expected}.")
     if not _hold_no_more_than(members, size):
         raise ValueError(f"The file {name} is damaged or hostile: its members unfold into more than the file holds.")
     if 2 * size > psutil.virtual_memory().available:
@@ -209,7 +210,7 @@ def _check_version(data: Any) -> None:
         raise ValueError(f"its format version is {version!r}, which is none")
     if version > FORMAT_VERSION:
         raise ValueError(
-            f"it has format version {version}, and this version reads up to {FORMAT_VERSION}: please update the package"
+            f"it has format version {version}, and this version reads {FORMAT_VERSION}: please update the package"
         )
     if version < FORMAT_VERSION:
         raise ValueError(f"it has format version {version}, but the members of version {FORMAT_VERSION}")

@@ -179,7 +179,7 @@ class SavedAsData:
             warnings.warn(
                 f"The class of the method in force, {data.owner}, is not imported: until its callback is given to `learn`, or "
                 "another method, the model learns with its `learning_rate`.",
-                stacklevel=6,
+                stacklevel=5,
             )
             model._missing_method = data
             # Kept for the callback, and for the next file

@@ -32,7 +32,7 @@ def read_pickled(path: Any, custom_objects: dict[str, Any]) -> SavedModel:
     buffers = {key: tensor.numpy() for key, tensor in dict(parameters.get("policy", {})).items()}
     if data is None or data.get("format_version") != 1 or "q_table" not in buffers:
         raise ValueError(
-            f"The file {name} is of Stable-Baselines3's own format, but none of a table: another algorithm wrote it."
+            f"The file {name} is of Stable-Baselines3's own format, and another algorithm wrote it: it has no table."
         )
     method = data.pop("_rate_data", None)
     training = {ours: data.pop(theirs) for theirs, ours in _TRAINING.items() if theirs in data}

@@ -77,7 +77,7 @@ class Resumable(SavedAsData):
         saved = cls._read(path, custom_objects, print_system_info)
         if saved.algorithm != cls.__name__:
             raise ValueError(
-                f"The file {saved.name} is of a {saved.algorithm}: resume it with that class, not with {cls.__name__}."
+                f"The file {saved.name} is of a {saved.algorithm}, not of a {cls.__name__}: resume it with that class."
             )
         model = cls._build(saved, env, device, False, kwargs)
         model._go_back_to(saved)

@@ -137,7 +137,8 @@ def buffers_of(archive: Archive) -> dict[str, np.ndarray]:
 def _check_name(kind: Any, name: str) -> None:
     """No entry of a file may take the place of a method, or of what is built anew."""
     known = inspect.getattr_static(kind, name, None)
-    if callable(known) or isinstance(known, property | staticmethod | classmethod) or name in kind.built_anew:
+    is_method = callable(known) or isinstance(known, staticmethod | classmethod)
+    if is_method or inspect.isdatadescriptor(known) or name in kind.built_anew:
         raise ValueError(f"it has the attribute {name!r}, which is not a model's to save")
 
 
