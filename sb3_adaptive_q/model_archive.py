@@ -16,6 +16,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -81,13 +82,19 @@ def write_archive(path: Any, data: dict[str, Any], arrays: dict[str, np.ndarray]
         DATA: text,
         ARRAYS: packed.getbuffer(),
         SB3_VERSION: stable_baselines3.__version__.encode(),
-        SYSTEM_INFO: get_system_info(print_info=False)[1].encode(),
+        SYSTEM_INFO: _system_info(),
     }
     if isinstance(path, str | Path):
         with written_whole(_destination(Path(path))) as file:
             _write_members(file, members)
     else:
         _write_members(open_path(path, "w"), members)
+
+
+@cache
+def _system_info() -> bytes:
+    """Asked for once: SB3 looks for gym every time, which takes longer than a small model takes to be written."""
+    return get_system_info(print_info=False)[1].encode()
 
 
 def _destination(path: Path) -> Path:

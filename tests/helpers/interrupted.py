@@ -154,7 +154,7 @@ def outcome_in(folder: Path) -> Outcome:
 
 def kill_at_random(process: Any, folder: Path, training: Training, moment: random.Random) -> None:
     """
-    Kill a process, which may not notice, in the first half of its training.
+    Kill a process, which may not notice, in the first third of the training, as far as it has not been done before.
 
     :param process: the process
     :param folder: of its checkpoints
@@ -163,7 +163,7 @@ def kill_at_random(process: Any, folder: Path, training: Training, moment: rando
     """
     deadline = time.monotonic() + 120.0
     n_before, n_more = len(checkpoints(folder)), training.total // (training.every * training.n_envs)
-    wanted = n_before + moment.randint(1, max(n_more // 2, 1))
+    wanted = n_before + moment.randint(1, max(n_more // 3, 1))
     while len(checkpoints(folder)) < wanted and process.is_alive():
         assert time.monotonic() < deadline, "no checkpoint within two minutes"
         time.sleep(0.0005)
