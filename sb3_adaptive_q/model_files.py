@@ -188,7 +188,7 @@ class SavedAsData:
     def _restore_next_step(self, saved: SavedModel) -> None:
         """What goes on with the episode that is running."""
         model: Any = self
-        expected = model.working_arrays(model.n_envs, *model.q_table.shape)
+        expected = self.new_working_arrays()
         fits = {name: (array.shape, array.dtype) for name, array in saved.working.items()} == {
             name: (array.shape, array.dtype) for name, array in expected.items()
         }
@@ -196,9 +196,25 @@ class SavedAsData:
             raise ValueError(
                 f"the arrays that {type(self).__name__} works with are not those of this table and its environments"
             )
+        self.check_working_arrays(saved.working)
         model._working = saved.working
         actions = (saved.running or {}).get("next_actions")
         model._next_actions = check_actions(actions, model.n_envs, model.q_table.shape[1])
+
+    def new_working_arrays(self) -> dict[str, np.ndarray]:
+        """
+        :return: the arrays that the update works with, as they begin
+        """
+        model: Any = self
+        return model.working_arrays(model.n_envs, *model.q_table.shape)  # type: ignore[no-any-return]
+
+    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """
+        Check arrays that were read from a file, whose numbers machine code looks up without a check.
+
+        :param arrays: of the names, shapes and types of :meth:`new_working_arrays`
+        :raises ValueError: if the update cannot go on with them
+        """
 
     def _set_schedule(self, schedule: Any) -> None:
         model: Any = self
