@@ -159,9 +159,7 @@ class TestArguments:
             return TabularQ("MlpPolicy", (CompiledVecEnv if compiled else DummyVecEnv)([env, env]), seed=3, method=7)
 
         ordinary, compiled = (learn(make(path), 6_000) for path in (False, True))
-        if kind == "no Monitor":  # without which the ordinary path knows of no returns
-            assert len(ordinary.returns) == 0
-            ordinary = ordinary._replace(**{name: getattr(compiled, name) for name in ordinary._fields[-4:]})
+        assert len(ordinary.returns) > 50
         assert_same(compiled, ordinary)
 
     def test_as_a_user_would_write_it(self):
