@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import sb3_adaptive_q.envs  # registers the environments  # noqa: F401
+from sb3_adaptive_q.algorithms.q_learning import TabularQ
+from sb3_adaptive_q.base import TabularAlgorithm
 from sb3_adaptive_q.callbacks import (
     METHODS,
     ConstantRateCallback,
@@ -16,13 +18,14 @@ from sb3_adaptive_q.callbacks import (
 )
 from sb3_adaptive_q.many import learn_many
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy
-from sb3_adaptive_q.tabular_q import TabularQ
+from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 __version__ = (Path(__file__).parent / "version.txt").read_text().strip()
 
 __all__ = [
     "METHODS",
+    "STEP_SIZES",
     "CompiledVecEnv",
     "ConstantRateCallback",
     "EpisodeSeriesCallback",
@@ -33,6 +36,7 @@ __all__ = [
     "MlpPolicy",
     "ProportionalRateCallback",
     "SignRateCallback",
+    "TabularAlgorithm",
     "TabularQ",
     "TabularQPolicy",
     "__version__",
