@@ -23,9 +23,7 @@ STUDY = StudySettings(runs=2, episodes=30, methods=("1", "7"))
 
 
 def cell_of(settings: StudySettings, system: str, method: str, run: int) -> Cell:
-    (found,) = (
-        cell for cell in settings.design().cells() if cell.labels == {"system": system, "method": method, "run": run}
-    )
+    (found,) = (cell for cell in settings.design().cells() if cell.labels == {"system": system, "method": method, "run": run})
     return found
 
 
@@ -70,9 +68,7 @@ def test_cell_is_what_tabular_q_learns_from_an_ordinary_environment(cell: Cell, 
     stored = {name: values[0] for name, values in folder.read(cell).items()}
     env = ordinary_environment(stored["system"])
     method = int(stored["method"].removeprefix("Method "))
-    model = TabularQ(
-        "MlpPolicy", env, method=method, exploration_fraction=1.0, total_episodes=30, gamma=0.99, seed=stored["seed"]
-    )
+    model = TabularQ("MlpPolicy", env, method=method, ties="first", total_episodes=30, gamma=0.99, seed=stored["seed"])
     model.learn(10**6)
     assert np.array_equal(stored["q_table"], model.q_table.ravel())
     assert [info["r"] for info in model.ep_info_buffer] == stored["returns"].tolist()

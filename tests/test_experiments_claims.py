@@ -9,7 +9,7 @@ from sb3_adaptive_q.experiments.paper.claims import Claim, judge, judge_claims, 
 from sb3_adaptive_q.experiments.paper.paper_data import paper_table, read_data
 from sb3_adaptive_q.experiments.paper.report import write_report
 from sb3_adaptive_q.experiments.paper.results import Results, make_series
-from sb3_adaptive_q.experiments.paper.settings import PAPER_METHODS, StudySettings
+from sb3_adaptive_q.experiments.paper.settings import StudySettings
 from sb3_adaptive_q.experiments.paper.tables import q_value_tables, results_markdown, results_table
 from sb3_adaptive_q.experiments.runner import Failure
 
@@ -30,7 +30,9 @@ def made_up(last: dict[int, list[float]], mean_last: dict[int, list[float]] | No
     series = make_series([np.zeros(1)], [np.zeros(1)])
     shape = (16, 4) if system == LAKE else (11**4, 2)
     keys = [(system, f"Method {number}") for number in last]
-    return Results(pd.DataFrame(rows), dict.fromkeys(keys, series), {key: np.arange(float(np.prod(shape))).reshape(shape) for key in keys})
+    return Results(
+        pd.DataFrame(rows), dict.fromkeys(keys, series), {key: np.arange(float(np.prod(shape))).reshape(shape) for key in keys}
+    )
 
 
 def around(center: float, seed: int = 0) -> list[float]:
@@ -209,5 +211,7 @@ def test_report_names_the_runs_that_failed() -> None:
 
 def test_report_tells_how_to_repeat_it() -> None:
     text = report(made_up({3: [150.0]}), systems=(POLE,), methods=("3",), beta_1=0.02, sweep=("gamma=0.9,0.99", "beta_3=0.1"))
-    command = "python -m sb3_adaptive_q study --systems CartPoleFriction-v0 --methods 3 --sweep gamma=0.9,0.99 --sweep beta_3=0.1"
+    command = (
+        "python -m sb3_adaptive_q study --systems CartPoleFriction-v0 --methods 3 --sweep gamma=0.9,0.99 --sweep beta_3=0.1"
+    )
     assert f"`{command} --beta-1 0.02`" in text

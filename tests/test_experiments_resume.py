@@ -1,5 +1,6 @@
-"""A study that is killed, interrupted or starved goes on where it stood, and ends with the same tables."""
+"""An experiment that is killed, interrupted or starved goes on where it stood, and ends with the same tables."""
 
+import ast
 import errno
 import os
 import resource
@@ -10,31 +11,37 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
 import yaml
 
-from sb3_adaptive_q.study import StudyError, StudySettings, atomic, figures, run_study
-from sb3_adaptive_q.study.atomic import write_atomically
-from sb3_adaptive_q.study.command_line import main
+import sb3_adaptive_q
+from sb3_adaptive_q import experiments
+from sb3_adaptive_q.experiments import Execution, ExperimentError, storage, versions
+from sb3_adaptive_q.experiments.paper import figures
+from sb3_adaptive_q.experiments.paper.command import main
+from sb3_adaptive_q.experiments.paper.settings import StudySettings
+from sb3_adaptive_q.experiments.paper.study import run_study
+from sb3_adaptive_q.experiments.storage import write_atomically
 
-PROJECT = Path(__file__).resolve().parent.parent
+PROJECT = Path(sb3_adaptive_q.__file__).resolve().parent.parent
 #: 24 cells of some 100 ms each: time enough to be hit in the middle
-SETTINGS = StudySettings(systems=("FrozenLake-v1",), methods=(1, 6, 7), runs=8, episodes=60_000)
-OPTIONS = "--systems FrozenLake-v1 --methods 1 6 7 --runs 8 --episodes 60000 --workers 2".split()
-SMALL = StudySettings(systems=("FrozenLake-v1",), methods=(1, 7), runs=2, episodes=50)
+SETTINGS = StudySettings(systems=("FrozenLake-v1",), methods=("1", "6", "7"), runs=8, episodes=80_000)
+OPTIONS = "--systems FrozenLake-v1 --methods 1 6 7 --runs 8 --episodes 80000 --workers 2".split()
+SMALL = StudySettings(systems=("FrozenLake-v1",), methods=("1", "7"), runs=2, episodes=50)
 SMALL_OPTIONS = "--systems FrozenLake-v1 --methods 1 7 --runs 2 --episodes 50 --workers 1".split()
 
 
 def cell_files(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.parquet"))
+    return sorted((folder / "cells").glob("*.parquet"))
 
 
 def outcome(folder: Path) -> dict[str, bytes]:
     """Every table, the report and every cell of a study, by name."""
-    found = [path for pattern in ("*.csv", "*.md", "*.parquet") for path in folder.rglob(pattern)]
+    found = [path for pattern in ("*.csv", "*.md", "*.html", "*.parquet") for path in folder.rglob(pattern)]
     return {str(path.relative_to(folder)): path.read_bytes() for path in found}
 
 
@@ -43,7 +50,7 @@ def leftovers(folder: Path) -> list[Path]:
 
 
 def run_to_the_end(settings: StudySettings, folder: Path) -> dict[str, bytes]:
-    run_study(settings, folder, workers=1, progress_bar=False)
+    run_study(settings, Execution(output=folder, workers=2, progress=False))
     return outcome(folder)
 
 
@@ -65,7 +72,7 @@ def started(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """A study in processes of its own, with some cells stored and some to come."""
     folder = tmp_path / "study"
     process = subprocess.Popen(
-        [sys.executable, "-m", "sb3_adaptive_q.study", *OPTIONS, "--output", str(folder)],
+        [sys.executable, "-m", "sb3_adaptive_q.experiments.paper", *OPTIONS, "--output", str(folder)],
         cwd=PROJECT,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -90,15 +97,12 @@ def test_killed_study_goes_on_with_the_missing_cells_only(
     started: tuple[subprocess.Popen[str], Path], uninterrupted: dict[str, bytes]
 ) -> None:
     process, folder = started
-    workers = psutil.Process(process.pid).children(recursive=True)
     process.kill()
     process.wait()
     stored = {path: path.stat().st_mtime_ns for path in cell_files(folder)}
     assert 4 <= len(stored) < 24
-    wait_for(lambda: not any(worker.is_running() and worker.status() != "zombie" for worker in workers), 20.0)
     # As a kill in the middle of a write would have left it
-    leftover = folder / "cells" / f".run-00000.parquet.{process.pid}.tmp"
-    leftover.write_bytes(b"half")
+    (folder / "cells" / f".0.parquet.{process.pid}.tmp").write_bytes(b"half")
 
     assert run_to_the_end(SETTINGS, folder) == uninterrupted
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
@@ -118,21 +122,23 @@ def test_interrupt_stores_what_is_done_and_says_how_to_go_on(
     assert run_to_the_end(SETTINGS, folder) == uninterrupted
 
 
-def test_dead_worker_is_reported_and_costs_nothing(tmp_path: Path) -> None:
+def test_dead_worker_process_is_reported_and_costs_nothing(tmp_path: Path, uninterrupted: dict[str, bytes]) -> None:
     folder = tmp_path / "study"
 
     def kill_a_worker() -> None:
         wait_for(lambda: len(cell_files(folder)) >= 2)
-        (worker,) = (child for child in psutil.Process().children() if child.pid not in before)
-        worker.kill()
+        for child in psutil.Process().children():
+            if "popen_loky" in " ".join(child.cmdline()):  # joblib's processes
+                child.kill()
 
-    before = {child.pid for child in psutil.Process().children()}
     killer = threading.Thread(target=kill_a_worker)
     killer.start()
-    with pytest.raises(StudyError, match="A worker process died"):
-        run_study(SETTINGS, folder, workers=1, progress_bar=False)
+    execution = Execution(output=folder, workers=2, processes=True, progress=False)
+    with pytest.raises(ExperimentError, match="A worker died"):
+        run_study(SETTINGS, execution)
     killer.join()
     assert 2 <= len(cell_files(folder)) < 24 and leftovers(folder) == []
+    assert run_to_the_end(SETTINGS, folder) == uninterrupted
 
 
 def test_corrupt_cell_is_named_set_aside_and_run_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -140,7 +146,7 @@ def test_corrupt_cell_is_named_set_aside_and_run_again(tmp_path: Path, capsys: p
     expected = run_to_the_end(SMALL, folder)
     victim = cell_files(folder)[0]
     content = bytearray(victim.read_bytes())
-    content[len(content) // 2] ^= 0xFF
+    content[300:400] = bytes(100)
     victim.write_bytes(content)
     assert main([*SMALL_OPTIONS, "--output", str(folder)]) == 0
     assert f"{victim} is damaged" in capsys.readouterr().err
@@ -152,7 +158,7 @@ def test_more_runs_extend_a_study(tmp_path: Path) -> None:
     folder = tmp_path / "study"
     run_to_the_end(SMALL, folder)
     stored = {path: path.stat().st_mtime_ns for path in cell_files(folder)}
-    larger = StudySettings.from_data({**SMALL.as_data(), "runs": 3, "methods": [1, 7, 8]})
+    larger = replace(SMALL, runs=3, methods=("1", "7", "8"))
     assert run_to_the_end(larger, folder) == run_to_the_end(larger, tmp_path / "at once")
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
 
@@ -167,7 +173,7 @@ def test_folder_of_another_study_is_refused(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.parametrize("content", [None, "gamma: [", "colour: blue", "- 1"])
 def test_folder_of_something_else_is_refused(content: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    name = "notes.txt" if content is None else "study.yml"
+    name = "notes.txt" if content is None else "design.yml"
     (tmp_path / name).write_text(content or "mine")
     assert main([*SMALL_OPTIONS, "--output", str(tmp_path)]) == 2
     assert str(tmp_path) in capsys.readouterr().err
@@ -177,15 +183,15 @@ def test_folder_of_something_else_is_refused(content: str | None, tmp_path: Path
 def test_settings_and_versions_are_saved_and_make_the_same_study(tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     expected = run_to_the_end(SMALL, first)
-    saved = yaml.safe_load((first / "study.yml").read_text())
-    assert saved["versions"]["numpy"] and saved["versions"]["sb3-adaptive-q"]
-    assert main(["--config", str(first / "study.yml"), "--workers", "1", "--output", str(second)]) == 0
+    saved = yaml.safe_load((first / "design.yml").read_text())
+    assert saved["versions"]["numpy"] and saved["versions"]["sb3_adaptive_q"] and saved["versions"]["source"]
+    assert main(["--config", str(first / "design.yml"), "--workers", "1", "--output", str(second)]) == 0
     assert outcome(second) == expected
 
 
 def test_other_versions_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_to_the_end(SMALL, tmp_path / "study")
-    design = tmp_path / "study" / "study.yml"
+    design = tmp_path / "study" / "design.yml"
     data = yaml.safe_load(design.read_text())
     data["versions"]["numba"] = "0.1"
     design.write_text(yaml.safe_dump(data))
@@ -193,28 +199,43 @@ def test_other_versions_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "other versions of numba" in capsys.readouterr().err
 
 
-def test_workers_make_no_difference(tmp_path: Path) -> None:
-    run_study(SMALL, tmp_path / "two", workers=2, progress_bar=False)
-    assert outcome(tmp_path / "two") == run_to_the_end(SMALL, tmp_path / "one")
+@pytest.mark.parametrize("name", ["sb3_adaptive_q", "source"])
+def test_folder_of_another_version_is_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_to_the_end(SMALL, tmp_path / "study")
+    design = tmp_path / "study" / "design.yml"
+    data = yaml.safe_load(design.read_text())
+    data["versions"][name] = "0.0.1"
+    design.write_text(yaml.safe_dump(data))
+    assert main([*SMALL_OPTIONS, "--output", str(tmp_path / "study")]) == 2
+    assert f"begun with another version: {name} is 0.0.1 there" in capsys.readouterr().err
+
+
+def test_digest_is_of_the_modules_that_a_run_goes_through() -> None:
+    """Whatever the modules of a run import of the experiments is one of them, or decides no number."""
+    folder = Path(experiments.__file__).parent
+    for path in (path for path in folder.rglob("*.py") if path.stem in versions.OF_A_RUN):
+        imports = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]
+        names = {node.module.rpartition(".")[2] for node in imports if (node.module or "").startswith(experiments.__name__)}
+        assert names <= {*versions.OF_A_RUN, "errors", "versions"}, path
 
 
 def test_full_disk_ends_the_study_with_whole_files_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "study"
-    fsync, calls = os.fsync, []
+    move, calls = os.replace, []
 
-    def fail_from_the_sixth_on(descriptor: int) -> None:
-        calls.append(descriptor)
-        if len(calls) >= 6:  # the design and the first cell, each with its folder, and the second cell
+    def fail_from_the_third_on(source: Path, target: Path) -> None:
+        calls.append(target)
+        if len(calls) >= 3:  # after the design and the first cell
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        fsync(descriptor)
+        move(source, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(atomic.os, "fsync", fail_from_the_sixth_on)
+        patch.setattr(storage.os, "replace", fail_from_the_third_on)
         assert main([*SMALL_OPTIONS, "--output", str(folder)]) == 1
     assert "No space left on device" in capsys.readouterr().err
-    assert len(cell_files(folder)) in (1, 2) and leftovers(folder) == []
+    assert len(cell_files(folder)) == 1 and leftovers(folder) == []
     assert run_to_the_end(SMALL, folder) == run_to_the_end(SMALL, tmp_path / "with room")
 
 
@@ -224,7 +245,7 @@ def test_file_too_large_for_the_system_leaves_the_old_one(tmp_path: Path) -> Non
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
     try:
-        with pytest.raises(StudyError, match="File too large"):
+        with pytest.raises(ExperimentError, match="File too large"):
             write_atomically(path, b"x" * 100_000)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

@@ -86,7 +86,7 @@ def make_method(name: str, parameters: dict[str, Any]) -> LearningRateCallback:
         raise unknown_name("method", name, method_names(), IMPORT_PATH)
     try:
         if not is_import_path(name):
-            return method(int(name) if name.isdecimal() else name, **parameters)  # type: ignore[arg-type]
+            return method(int(name) if name.isdecimal() else name, **parameters)
         made = load_object(name)(**parameters)
     except (TypeError, ValueError) as error:
         raise DesignError(f"{method_label(name)} cannot be made with {parameters}: {error}") from error
@@ -109,7 +109,7 @@ def method_parameters(name: str) -> set[str]:
         raise unknown_name("method", name, method_names(), IMPORT_PATH)
     if name.isdecimal():
         return set(inspect.signature(METHODS[int(name)].callback).parameters)
-    return {*sb3_adaptive_q.STEP_SIZES[name].parameters, "scope", "lower", "upper"}  # type: ignore[attr-defined]
+    return {*sb3_adaptive_q.STEP_SIZES[name].parameters, "scope", "lower", "upper"}
 
 
 def method_label(name: str) -> str:

@@ -1,9 +1,13 @@
 """Runs the cells that are missing, and stores each as it comes; joblib provides threads, processes or a Dask cluster."""
 
-from collections.abc import Iterator, Sequence
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +22,10 @@ from sb3_adaptive_q.experiments.versions import everything_of
 
 #: How long to wait for a scheduler, in seconds
 CONNECTION_TIMEOUT = 10.0
+#: How the progress bar looks
+BAR: Any = {"unit": "run", "unit_scale": True, "smoothing": 0.05}
+
+Run = Callable[[Cell, Mapping[str, str]], Outcome]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,11 +80,12 @@ def run_missing(cells: Sequence[Cell], folder: ResultFolder, execution: Executio
         return []
     done = sum(cell.cost for cell in in_order) - sum(cell.cost for cell in missing)
     failures = []
+    kind = "dask" if execution.dask else "threading" if in_threads and not execution.processes else "loky"
     with (
-        _workers(execution, in_threads) as parallel,
+        _workers(execution, kind) as parallel,
         tqdm(total=done + sum(cell.cost for cell in missing), initial=done, disable=not execution.progress, **BAR) as bar,
     ):
-        for outcome in _outcomes(parallel, missing):
+        for outcome in _outcomes(parallel, missing, _run_in_process if kind == "loky" else run_cell):
             if outcome.failure:
                 failures.append(Failure(outcome.cell, outcome.failure))
             else:
@@ -85,14 +94,10 @@ def run_missing(cells: Sequence[Cell], folder: ResultFolder, execution: Executio
     return failures
 
 
-#: How the progress bar looks
-BAR: Any = {"unit": "run", "unit_scale": True, "smoothing": 0.05}
-
-
-def _outcomes(parallel: Parallel, cells: Sequence[Cell]) -> Iterator[Outcome]:
+def _outcomes(parallel: Parallel, cells: Sequence[Cell], run: Run) -> Iterator[Outcome]:
     wanted = {names: everything_of(names) for names in {cell.names for cell in cells}}
     try:
-        yield from parallel(delayed(run_cell)(cell, wanted[cell.names]) for cell in cells)
+        yield from parallel(delayed(run)(cell, wanted[cell.names]) for cell in cells)
     except TimeoutError as error:
         raise ExperimentError(f"The Dask cluster has no worker: please start some with `dask worker`. ({error})") from error
     except BrokenExecutor as error:
@@ -104,7 +109,7 @@ def _outcomes(parallel: Parallel, cells: Sequence[Cell]) -> Iterator[Outcome]:
 
 
 @contextmanager
-def _workers(execution: Execution, in_threads: bool) -> Iterator[Parallel]:
+def _workers(execution: Execution, kind: str) -> Iterator[Parallel]:
     options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
     if execution.dask:
         with _dask_client(execution.dask) as client, parallel_config("dask", client=client):
@@ -115,8 +120,25 @@ def _workers(execution: Execution, in_threads: bool) -> Iterator[Parallel]:
             backend.effective_n_jobs = lambda n_jobs: max(2, count(n_jobs))
             yield Parallel(n_jobs=-1, pre_dispatch="all", **options)
         return
-    kind = "threading" if in_threads and not execution.processes else "loky"
     yield Parallel(n_jobs=execution.workers or cpu_count(), backend=kind, pre_dispatch="3*n_jobs", **options)
+
+
+def _run_in_process(cell: Cell, wanted: Mapping[str, str]) -> Outcome:
+    _end_with_parent()
+    return run_cell(cell, wanted)
+
+
+@cache
+def _end_with_parent() -> None:
+    """A worker process that has lost its parent would wait for work for minutes."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

@@ -144,6 +144,7 @@ class StudySettings:
             raise DesignError("A name can be swept once: give all its values together.")
         settings = {name: swept.pop(name, getattr(self, name)) for name in OF_ALGORITHM}
         settings["total_episodes"] = swept.pop("episodes", self.episodes)
+        settings["ties"] = swept.pop("ties", "first")
         of_methods = {name: swept.pop(name) for name in OF_METHODS if name in swept}
         taken, parameters = self._parameters(swept)
         settings |= {name: values for name, values in swept.items() if name not in taken}
