@@ -3,6 +3,7 @@
 from io import BytesIO
 from typing import Any
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -40,5 +41,7 @@ def render(figure: Figure, kind: str) -> bytes:
     :return: the content of its file, which is the same whenever it is made
     """
     buffer = BytesIO()
-    figure.savefig(buffer, format=kind, dpi=RESOLUTION, metadata={"CreationDate": None} if kind == "pdf" else None)
+    with rc_context({"path.simplify_threshold": 1.0}):
+        figure.savefig(buffer, format=kind, dpi=RESOLUTION, metadata={"CreationDate": None} if kind == "pdf" else None)
+    figure.set_layout_engine("none")  # which keeps the places of everything, and saves finding them again
     return buffer.getvalue()

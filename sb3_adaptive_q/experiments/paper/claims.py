@@ -144,7 +144,7 @@ def _judge_best(claim: Claim, samples: Samples) -> Judgement:
         verdict, reason = FAILS, f"significantly below {join(better)}"
     elif equals:
         verdict = INCONCLUSIVE
-        reason = f"{samples[method].mean():.2f} here, not significantly different from {_some(equals, samples)}"
+        reason = f"{samples[method].mean():.2f}, not significantly different from {_some(equals, samples)}"
     else:
         verdict, reason = HOLDS, "significantly above every other method"
     return Judgement(

@@ -77,6 +77,7 @@ def write_outputs(
     for number, (table, text) in tables.items():
         folder.write(f"table_{number}.csv", table.to_csv(index=False))
         folder.write(f"table_{number}.md", f"{text}\n")
+    gc.freeze()  # what is there already need not be looked through after every figure
     shown: dict[str, list[tuple[str, str]]] = {}
     for system, name, caption, figure in make_figures(results, settings.gamma):
         for kind in ("png", "pdf"):
