@@ -20,7 +20,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from sb3_adaptive_q.callbacks import METHODS
-from sb3_adaptive_q.tabular_q import TabularQ
+from sb3_adaptive_q.algorithms.q_learning import TabularQ
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 ALGORITHM = "tabular_q"

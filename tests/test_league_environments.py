@@ -9,8 +9,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from helpers.decision_processes import solved
 from scipy.stats import chi2
+from stable_baselines3.common.monitor import Monitor
 
-from sb3_adaptive_q import CompiledVecEnv
+from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
 from sb3_adaptive_q.compiled.jit import as_python, is_disabled, machine_code
 from sb3_adaptive_q.envs import PROBLEMS, TableEnv
 from sb3_adaptive_q.envs.drifting_garnet import DriftingGarnetDynamics, DriftingGarnetEnv
@@ -472,6 +473,31 @@ class TestHiddenDynamics:
             SwitchingTablesEnv([chain(), double_loop()], 10)
         with pytest.raises(ValueError, match="at least 1 step"):
             SwitchingTablesEnv([chain()], 0)
+
+
+class TestLearning:
+    @pytest.mark.parametrize(
+        ("name", "n_envs"), [("moving_goal", 1), ("moving_goal", 3), ("drifting_garnet", 1), ("drift_01", 1)]
+    )
+    def test_both_paths_are_the_same_to_the_bit(self, name, n_envs):
+        """Across changes, in rollouts of 700 steps, and on in a second call of ``learn``."""
+
+        def make():
+            env = PROBLEMS[name].make()
+            if hasattr(env.unwrapped, "period"):
+                env.unwrapped.period = 1000
+            return Monitor(env)
+
+        left = []
+        for kind in (LeanVecEnv, CompiledVecEnv):
+            series = EpisodeSeriesCallback()
+            model = TabularQ("MlpPolicy", kind([make] * n_envs), seed=2, method=7, callback_interval=700)
+            for _ in range(2):
+                model.learn(2500, callback=series, log_interval=None, reset_num_timesteps=False)
+            clocks = [getattr(env.unwrapped, "clock", 0) for env in model.get_env().envs]
+            left.append((model.q_table.tobytes(), model.mu, series.returns.tolist(), clocks))
+        assert left[0] == left[1]
+        assert np.frombuffer(left[0][0]).any() or name == "moving_goal"
 
 
 def test_values_scale_with_the_rewards():

@@ -22,7 +22,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_adaptive_q import METHODS, CompiledVecEnv, LearningRateCallback, TabularQ
-from sb3_adaptive_q.fused import make_compilable
+from sb3_adaptive_q.compiled.jit import freeze
 from sb3_adaptive_q.vec_env.dynamics import Grid, find_dynamics
 from wrappers import DiscretizeObservation
 
@@ -303,8 +303,7 @@ class TestStatesOfCartPole:
         """Faster and more askew than learning comes to be, where a changed order of operations shows in the last bits."""
         env = CompiledVecEnv([lambda: make_env(name)]).envs[0].unwrapped
         dynamics = find_dynamics(env)(env, Grid.of(DiscretizeObservation(env, **CELLS)))
-        make_compilable(dynamics.step)
-        step = numba.njit(dynamics.step)
+        step = freeze(dynamics.step)
 
         @numba.njit
         def step_all(parameters, states, actions, generator):
