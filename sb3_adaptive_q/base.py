@@ -25,6 +25,7 @@ from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.logs import record_logs
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions, greedy
 from sb3_adaptive_q.random_numbers import first_counter
+from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
 from sb3_adaptive_q.state_index import StateIndex
@@ -45,7 +46,7 @@ class _Training:
     """One call of ``learn``."""
 
 
-class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
+class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     """
     An algorithm that learns a table of action values, under the interface of Stable-Baselines3.
 
@@ -197,6 +198,12 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         self.callback_interval = callback_interval
         #: The callbacks that keep every episode
         self.episode_series: list[EpisodeSeriesCallback] = []
+        self._rollout: StepRollout | None = None
+        self._unfinished: Unfinished | None = None
+        self._working: dict[str, np.ndarray] = {}
+        self._next_actions: np.ndarray | None = None
+        self._log_interval: int | None = None
+        self._last_dump = 0
         if self.env is not None:
             StateIndex(self.observation_space)
             count_actions(self.action_space)
@@ -213,12 +220,9 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         ).to(self.device)
         self.policy.declare(self.extra_tables(self.policy.n_states, self.policy.n_actions), self.initial_q)
         self._share_mu()
-        self._working: dict[str, np.ndarray] = {}
+        self._learning: weakref.ref[_Training] | None = None
         #: For each environment, the values that its last action was chosen from
         self.considered = np.zeros((self.n_envs, self.policy.n_actions))
-        self._learning: weakref.ref[_Training] | None = None
-        self._next_actions: np.ndarray | None = None
-        self._last_dump = 0
         self._install_own_method()
         self._choose_functions()
 
@@ -230,11 +234,11 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             self.policy.mu = own
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_learning", "choices")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_learning", "_rollout", "choices")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._learning = None
+        self._learning = self._rollout = None
         if "policy" in state:
             self._share_mu()
             self._choose_functions()
@@ -315,7 +319,9 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             )
             step_locals = locals()
             callback.on_training_start(step_locals, globals())
-            rollout = self._make_rollout(callback, step_locals)
+            self._rollout = rollout = self._make_rollout(callback, step_locals)
+            if self._take_up(rollout):
+                self._learn_from(rollout, log_interval)
             while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
                 callback.on_rollout_start()
                 rollout.advance()
@@ -323,11 +329,9 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
                 if not callback.on_step():
                     rollout.abandon()
                     break
-                rollout.learn()
-                self._current_progress_remaining = 1.0 - self._progress
-                if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
-                    self.dump_logs()
+                self._learn_from(rollout, log_interval)
                 callback.on_rollout_end()
+            self._rollout = None
             if log_interval is not None and self._n_updates > self.training.record["n_logged"][0]:
                 self.dump_logs()
             callback.on_training_end()
@@ -335,7 +339,7 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
             raise
         finally:
-            self._learning = None
+            self._learning = self._rollout = self._unfinished = None
             del training
         return self
 
@@ -351,6 +355,12 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
             self._learning = weakref.ref(training)
         return training
 
+    def _learn_from(self, rollout: StepRollout, log_interval: int | None) -> None:
+        rollout.learn()
+        self._current_progress_remaining = 1.0 - self._progress
+        if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
+            self.dump_logs()
+
     def _begin(
         self, total_timesteps: int, callback: MaybeCallback, log_interval: int | None, tb_log_name: str | None,
         reset_num_timesteps: bool, progress_bar: bool,
@@ -362,6 +372,8 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         if log_interval is not None and log_interval < 1:
             raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
         self._check_arguments()
+        self.check_functions_found(callback)
+        self._log_interval = log_interval
         self._share_mu()
         restart = reset_num_timesteps or self._last_obs is None
         if restart:
@@ -385,6 +397,7 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
         record["total_episodes"] = self._total_episodes if self.total_episodes else 0
         self._start_step_size(reset_num_timesteps)
         self._start_exploration()
+        self._go_on(reset_num_timesteps)
         return total_timesteps, callback
 
     def _prepare_update(self) -> None:
@@ -490,9 +503,6 @@ class TabularAlgorithm(StepSizeInForce, BaseAlgorithm):
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         super().set_env(env, force_reset)
         self._next_actions = None
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_learning", "_working", "choices", "considered", "lr_schedule", "episode_series"]
 
     @staticmethod
     def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:

@@ -10,7 +10,7 @@ from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
 from sb3_adaptive_q.behaviour import EXPLORATIONS, SCHEDULES, TIES
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.compiled.jit import as_python
-from sb3_adaptive_q.installed_method import InstalledMethod, check_step_size
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_step_size
 from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
 from sb3_adaptive_q.rollouts.functions import Choices, make_explore
 from sb3_adaptive_q.step_sizes.cells import keep_mu, scalar_size, scope_shape
@@ -28,6 +28,9 @@ class StepSizeInForce:
     choices: Choices
     learning_rate: Any
     lr_schedule: Any
+    _method: InstalledMethod | None
+    _missing_method: MethodData | None
+    _known_learning_rate: Any
 
     _exploration_rate = number_of_state("epsilon", "The exploration rate in force.")
     _mu = number_of_state("mu", "The scalar step size in force.")
@@ -85,8 +88,10 @@ class StepSizeInForce:
         :param restart: whether μ and the memory start anew even where the same method is in force already
         :raises ValueError: if the method resets μ with every episode and there are several environments
         """
-        starts = restart or self._method is None or method.data != self._method.data
+        in_force = self._missing_method if self._method is None else self._method.data
+        starts = restart or method.data != in_force
         self._use_method(method)
+        self._missing_method = None
         if starts:
             self._declare_memory(method)
             self.training.record["mu"] = method.start()
@@ -99,7 +104,7 @@ class StepSizeInForce:
                 f"`reset_each_episode` needs a single environment, but got {n_envs}: they share one μ, and their "
                 "episodes begin at different times."
             )
-        self._method: InstalledMethod | None = method
+        self._method = method
         record, data = self.training.record, method.data if method is not None else None
         record["next_action"] = NEXT_ACTIONS[data.next_action] if data else NEXT_ACTIONS["same"]
         record["resets_mu"] = data.reset_each_episode if data else False
@@ -207,7 +212,7 @@ class StepSizeInForce:
 
     def _install_own_method(self) -> None:
         """The method of the constructor's arguments, where there is one."""
-        self._missing_method: str | None = None
+        self._missing_method = None  # of a file, whose class is not imported
         self._use_method(None)
         if self.method is not None:  # type: ignore[has-type]
             self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)  # type: ignore

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
+from sb3_adaptive_q.algorithms.td_update import Transition
 from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, is_disabled, machine_code
 from sb3_adaptive_q.random_numbers import read_pcg64, write_pcg64
 from sb3_adaptive_q.rollouts.callbacks_due import episodes_until_due, skip_steps, steps_until_due
-from sb3_adaptive_q.rollouts.step_rollout import StepRollout
+from sb3_adaptive_q.rollouts.step_rollout import RolloutState, StepRollout
 from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
 
 #: Transitions of all environments between two calls of a user's callback
@@ -109,6 +110,28 @@ class CompiledRollout(StepRollout):
         self._call((self.episodes, np.zeros((0, self.n_envs), dtype=bool)), 0, 0)
         self._take_over()
         self.model._last_obs = self.new_obs
+
+    def abandon(self) -> None:
+        super().abandon()
+        self.control["pending"] = 0
+
+    def state(self) -> RolloutState:
+        pending = self.envs[list(Transition._fields)].tolist() if self.control["pending"][0] else []
+        returns, lengths = self.envs["episode_return"].tolist(), self.envs["length"].tolist()
+        return RolloutState(pending, self._infos_for_log() if pending else [], returns, lengths)
+
+    def restore(self, state: RolloutState) -> None:
+        self._read_environments()
+        for i, each in enumerate(self.compiled_envs):
+            if each.layers.monitor is None:  # then no other knows these
+                self.envs[i]["episode_return"] = state.returns[i]
+                if each.layers.limit is None:
+                    self.envs[i]["length"] = state.lengths[i]
+        self._write_environments(0)
+        for i, transition in enumerate(state.transitions):
+            for name, value in zip(Transition._fields, transition, strict=True):
+                self.envs[i][name] = value
+        self._restore_last_step(state)
 
     def _run(self, dones: np.ndarray, max_steps: int, max_episodes: int) -> int:
         """Call the machine code, again and again, until the rollout is as long as it shall be."""

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable
 from math import isfinite
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
@@ -15,6 +15,23 @@ from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, m
 
 #: A transition of the types that machine code takes
 _EXAMPLE = (0, 0, 0.0, 0, False, False, 0)
+
+
+class RolloutState(NamedTuple):
+    """
+    Where a rollout is between two steps.
+
+    :param transitions: for each environment the transition that was not learned from yet, as a
+        :class:`sb3_adaptive_q.algorithms.td_update.Transition` has it; empty where all were
+    :param infos: for each of these, what the log wants to know of an episode that it ended
+    :param returns: for each environment, the rewards of the running episode
+    :param lengths: for each environment, the steps of the running episode
+    """
+
+    transitions: list[tuple[int, int, float, int, bool, bool, int]]
+    infos: list[dict[str, Any]]
+    returns: list[float]
+    lengths: list[int]
 
 
 class StepRollout:
@@ -40,6 +57,7 @@ class StepRollout:
         self.first_action = int(model.action_space.start)
         self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
         self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
+        self.transitions: list[tuple[float, int, bool, bool, int]] = []
         self.take_choices()
         if model._next_actions is None:
             model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
@@ -100,6 +118,7 @@ class StepRollout:
             if action < 0:
                 self.refuse(-action, states[i], actions[i])
             states[i], actions[i] = start_state, action
+        self.transitions = []
         self.model._last_obs = self.new_obs
 
     def abandon(self) -> None:
@@ -108,6 +127,34 @@ class StepRollout:
         self.model._episode_num += sum(self.dones)
         self.model._next_actions = None
         self.model._last_obs = self.new_obs
+        self.transitions = []
+
+    def state(self) -> RolloutState:
+        """
+        :return: where the rollout is, to be saved with the model by a callback
+        """
+        pending = [(self.states[i], self.actions[i], *rest) for i, rest in enumerate(self.transitions)]
+        infos = self._infos_for_log() if pending else []
+        return RolloutState(pending, infos, self.episode_returns, self.episode_lengths)
+
+    def restore(self, state: RolloutState) -> None:
+        """
+        Go on where another rollout was, whose transitions :meth:`learn` then learns from.
+
+        :param state: where it was
+        """
+        self.episode_returns, self.episode_lengths = list(state.returns), list(state.lengths)
+        self.transitions = [transition[2:] for transition in state.transitions]
+        self._restore_last_step(state)
+
+    def _infos_for_log(self) -> list[dict[str, Any]]:
+        return [{name: info[name] for name in ("episode", "is_success") if name in info} for info in self.infos]
+
+    def _restore_last_step(self, state: RolloutState) -> None:
+        for i, transition in enumerate(state.transitions):
+            self.states[i], self.actions[i] = transition[:2]
+        self.dones, self.infos = [transition[5] for transition in state.transitions], state.infos
+        self.new_obs = self.model._last_obs
 
     def show(self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
         """Put what a step gave among the variables that callbacks see."""
