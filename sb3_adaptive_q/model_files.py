@@ -31,8 +31,8 @@ class SavedAsData:
     built_anew: ClassVar[frozenset[str]] = frozenset(
         (
             "policy", "device", "env", "replay_buffer", "rollout_buffer", "_vec_normalize_env", "_logger", "_custom_logger",
-            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_learning", "_method", "_missing_method",
-            "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished", "_working",
+            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_learning", "_method",
+            "_missing_method", "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished", "_working",
         )
     )  # fmt: skip
 
