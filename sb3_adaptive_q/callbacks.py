@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EventCallback
 
-from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_step_size
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_finite, check_step_size
 from sb3_adaptive_q.step_sizes import find_step_size, paper, resolve_parameters
 
 
@@ -227,6 +227,7 @@ class SignRateCallback(LearningRateCallback):
         reset_each_episode: bool = False,
     ) -> None:
         _check_bounds(lower, upper)
+        check_finite("step", step)
         super().__init__(mu_0, next_action, reset_each_episode, change=step, lower=lower, upper=upper)
 
 
@@ -270,8 +271,8 @@ def method(number: int | str, **parameters: Any) -> LearningRateCallback:
         return StepSizeCallback(number, **parameters)
     if not _is_method_number(number):
         raise ValueError(
-            f"The paper's methods are 1 to 8, and a step size of the literature has a name, but got {number!r}: see "
-            "`sb3_adaptive_q.METHODS` and `sb3_adaptive_q.STEP_SIZES`."
+            f"There are methods 1 to 8, and step sizes with a name, but got {number!r}: see `sb3_adaptive_q.METHODS` and "
+            "`sb3_adaptive_q.STEP_SIZES`."
         )
     make = METHODS[number].callback
     known = list(inspect.signature(make).parameters)
@@ -375,7 +376,7 @@ def check_callback(callback: Any) -> None:
         raise ValueError(f"`callback` must be a callback, a list of callbacks, a function or None, but got {callback!r}.")
     found = [type(each).__name__ for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
     if len(found) > 1:
-        raise ValueError(f"One method can set the step size at a time, but got {', '.join(found)}: pass one of them.")
+        raise ValueError(f"One learning-rate method can be in force at a time, but got {', '.join(found)}: pass one of them.")
 
 
 def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:

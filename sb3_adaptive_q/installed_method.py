@@ -73,8 +73,7 @@ class InstalledMethod:
                     )
                 data = data._replace(parameters={name: data.parameters[name] for name in takes})
         for name, value in data.parameters.items():
-            if not isinstance(value, Real) or not isfinite(value):
-                raise ValueError(f"`{name}` must be a finite number, for {data.owner}, but got {value!r}.")
+            check_finite(name, value)
         return {name: float(value) for name, value in data.parameters.items()}
 
     @property
@@ -143,6 +142,16 @@ def check_step_size(name: str, value: Any) -> None:
     """
     if not is_step_size(value):
         raise ValueError(f"`{name}` must be from 0 to 1, but got {value!r}.")
+
+
+def check_finite(name: str, value: Any) -> None:
+    """
+    :param name: what the value is called
+    :param value: a parameter of a method
+    :raises ValueError: if it is not a finite number
+    """
+    if not isinstance(value, Real) or not isfinite(value):
+        raise ValueError(f"`{name}` must be finite and a number, but got {value!r}.")
 
 
 def _functions_of(owner: str) -> tuple[Any, Any]:

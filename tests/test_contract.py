@@ -38,7 +38,7 @@ def lake(env=LAKE, **arguments):
 
 def greedy_on_script(n_envs=1, **arguments):
     env = DummyVecEnv([lambda: ScriptedEnv(SCRIPT)] * n_envs)
-    return TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0, **arguments)
+    return TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0, ties="first", **arguments)
 
 
 class TestConstructor:
