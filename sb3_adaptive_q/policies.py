@@ -170,8 +170,8 @@ def check_memory(shapes: Mapping[str, tuple[int, ...]]) -> None:
     if needed > free:
         arrays = ", ".join(f"`{name}` of shape {shape}" for name, shape in shapes.items())
         raise MemoryError(
-            f"The table or memory ({arrays}) takes {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB of memory are "
-            "free: use fewer cells, or fewer components of the observation."
+            f"The table or memory ({arrays}) takes {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB of memory "
+            "are free: use fewer cells, or fewer components of the observation."
         )
 
 
