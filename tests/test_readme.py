@@ -40,5 +40,7 @@ def test_every_method_of_the_table_is_there(names: dict[str, Any]) -> None:
         made = names["method"](int(number))
         assert type(made).__name__ == callback
         stated = dict(argument.split("=") for argument in arguments.split(", "))
-        assert {name: made.rate.parameters[name] for name in stated} == {name: float(value) for name, value in stated.items()}
+        assert {name: made.method.data.parameters[name] for name in stated} == {
+            name: float(value) for name, value in stated.items()
+        }
         assert __import__("sb3_adaptive_q").METHODS[int(number)].equation == equation
