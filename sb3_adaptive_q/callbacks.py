@@ -69,7 +69,6 @@ class LearningRateCallback(BaseCallback):
                 f"{kind.__qualname__} needs the class attribute `step_size`, a function `step_size(mu, step, *parameters, "
                 "*arrays)`, or `rule`, a function `rule(mu, step, *parameters)`."
             )
-        has_bounds = kind.lower is not None and kind.upper is not None
         data = MethodData(
             owner=f"{kind.__module__}:{kind.__qualname__}",
             label=kind.__name__,
@@ -81,7 +80,7 @@ class LearningRateCallback(BaseCallback):
             next_action=next_action,
             reset_each_episode=reset_each_episode,
         )
-        if has_bounds:
+        if kind.lower is not None and kind.upper is not None:
             data = data._replace(bounds=(kind.lower, kind.upper))
         self._install(InstalledMethod(data, (kind.step_size, kind.rule)))
 
@@ -314,7 +313,7 @@ class EpisodeSeriesCallback(BaseCallback):
 
     def _init_callback(self) -> None:
         self._parts = []
-        self.model.episode_series.append(self)
+        self.model.episode_series.append(self)  # type: ignore[attr-defined]  # of a tabular algorithm
 
     def add(self, episodes: Episodes) -> None:
         """
@@ -360,7 +359,11 @@ def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:
     elif isinstance(callback, CallbackList):
         children = callback.callbacks
     elif isinstance(callback, EventCallback):
-        children = (callback.callback, getattr(callback, "callback_on_new_best", None), getattr(callback, "callback_after_eval", None))
+        children = (
+            callback.callback,
+            getattr(callback, "callback_on_new_best", None),
+            getattr(callback, "callback_after_eval", None),
+        )
     if isinstance(callback, BaseCallback):
         yield callback
     for child in children:
@@ -391,9 +394,9 @@ def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
     own = [type(each).__name__ for each in iterate_callbacks(callback) if not _knows_rollouts(each)]
     if own:
         warnings.warn(
-            f"On a compiled environment {', '.join(own)} is called once for many steps, and finds the last one only. If it needs "
-            "every step, give the model `callback_interval=1`; EpisodeSeriesCallback keeps every episode. If it does not, say so: "
-            "the class attribute `knows_rollouts = True`, or a `callback_interval` of your choice.",
+            f"On a compiled environment {', '.join(own)} is called once for many steps, and finds the last one only. If it "
+            "needs every step, give the model `callback_interval=1`; EpisodeSeriesCallback keeps every episode. If it does "
+            "not, say so: the class attribute `knows_rollouts = True`, or a `callback_interval` of your choice.",
             stacklevel=4,
         )
 

@@ -67,9 +67,9 @@ class InstalledMethod:
                 takes = expected[: len(expected) - len(names)]
                 if sorted(takes) != sorted(data.parameters) or expected[len(takes) :] != names:
                     raise ValueError(
-                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters are "
-                        f"({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make them "
-                        "agree, parameters first."
+                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters "
+                        f"are ({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make "
+                        "them agree, parameters first."
                     )
                 data = data._replace(parameters={name: data.parameters[name] for name in takes})
         for name, value in data.parameters.items():
@@ -102,7 +102,7 @@ class InstalledMethod:
     def rule_function(self) -> Callable[..., float]:
         """What forms the next scalar μ."""
         if self.rule is not None:
-            return self.rule  # type: ignore[no-any-return]
+            return self.rule
         return last_size if self.step_size is not None else keep_mu
 
     def start(self) -> float:

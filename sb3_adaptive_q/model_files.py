@@ -206,7 +206,7 @@ class SavedAsData:
         :return: the arrays that the update works with, as they begin
         """
         model: Any = self
-        return model.working_arrays(model.n_envs, *model.q_table.shape)  # type: ignore[no-any-return]
+        return model.working_arrays(model.n_envs, *model.q_table.shape)
 
     def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
         """
