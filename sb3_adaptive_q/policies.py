@@ -171,11 +171,15 @@ def check_memory(
     """
     needed, free = 8 * sum(prod(shape) for shape in shapes.values()), psutil.virtual_memory().available
     if needed > free:
-        arrays = ", ".join(f"`{name}` of shape {shape}" for name, shape in shapes.items())
+        arrays = ", ".join(f"{name.removeprefix(MEMORY)}: {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(
-            f"The table or memory ({arrays}) takes {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB of memory are "
-            f"free: {advice}."
+            f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but "
+            f"{free / 2**30:.1f} GiB of memory are free: {advice}."
         )
+
+
+def _in_words(shape: tuple[int, ...]) -> str:
+    return f"{shape[-2]} states and {shape[-1]} actions" if len(shape) == 2 else f"shape {shape}"
 
 
 MlpPolicy = TabularQPolicy
