@@ -253,7 +253,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
             )
         if "initial_q" in self.policy_kwargs:
-            raise ValueError(f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`.")
+            raise ValueError(
+                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
+            )
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
