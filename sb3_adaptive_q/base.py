@@ -286,9 +286,17 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """
         :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
             of the algorithm, all as machine code takes them
+        :raises ValueError: if a table of the policy was replaced by one of another kind
         """
-        names = ["q_table", *self.extra_tables(*self.q_table.shape)]
-        tables = [getattr(self.policy, name).numpy() for name in names]
+        shape = (self.policy.n_states, self.policy.n_actions)
+        shapes = {"q_table": shape, **self.extra_tables(*shape)}
+        tables = [getattr(self.policy, name).numpy() for name in shapes]
+        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
+            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
+                raise ValueError(
+                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
+                    f"and of shape {table.shape}: please put such a tensor into the policy."
+                )
         return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
