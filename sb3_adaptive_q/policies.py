@@ -170,8 +170,8 @@ def check_memory(shapes: Mapping[str, tuple[int, ...]]) -> None:
     if needed > free:
         arrays = ", ".join(f"{name.removeprefix(MEMORY)}: {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(
-            f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} "
-            "GiB of memory are free: use fewer cells, or fewer components of the observation."
+            f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but "
+            f"{free / 2**30:.1f} GiB of memory are free: use fewer cells, or fewer components of the observation."
         )
 
 
