@@ -222,16 +222,25 @@ class TestDamage:
         path.write_bytes(content)
         refuse(path, "no file of a model")
 
-    def test_a_refused_file_changes_nothing(self, path, content):
-        path.write_bytes(content[:-30])
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            lambda path: path.write_bytes(path.read_bytes()[:-30]),
+            lambda path: forge_arrays(path, q_table=np.full((16, 4), np.nan)),
+            lambda path: forge_arrays(path, memory_visits=np.full((1, 16, 4), np.nan)),
+            lambda path: forge_arrays(path, mu=np.array([2.0])),
+        ],
+        ids=["cut off", "NaN", "memory", "step size"],
+    )
+    def test_a_refused_file_changes_nothing(self, path, damage):
+        damage(path)
         model = TabularQ("MlpPolicy", LAKE, method="polynomial", initial_q=0.5)
         env = model.get_env()
         env.seed(7)
         seeds, state = list(env._seeds), copy.deepcopy(np.random.get_state())
-        refuse(path, "damaged", model.set_parameters)
-        refuse(path, "damaged", lambda path: TabularQ.load(path, env=env))
-        refuse(path, "damaged", lambda path: TabularQ.resume(path, env))
-        assert (model.q_table == 0.5).all()
+        for take in (model.set_parameters, lambda path: TabularQ.load(path, env=env), lambda path: TabularQ.resume(path, env)):
+            refuse(path, "damaged|must be|must hold", take)
+        assert (model.q_table == 0.5).all() and model.mu != 2.0
         assert env._seeds == seeds and np.random.get_state()[1].tolist() == state[1].tolist()
 
 

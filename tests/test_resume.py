@@ -30,7 +30,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ, method
-from sb3_adaptive_q.environment_state import CannotRead, read_environments, write_environments
+from sb3_adaptive_q.environment_state import CannotRead, check_environments, read_environments, write_environments
 from sb3_adaptive_q.saved_values import decode, encode
 from wrappers import DiscretizeObservation
 
@@ -392,7 +392,7 @@ class TestEnvironmentState:
         ours.reset()
         theirs.envs[0].unwrapped.np_random = np.random.Generator(np.random.MT19937(0))
         with pytest.raises(ValueError, match="drew from a PCG64, but got one that draws from a MT19937"):
-            write_environments(theirs, read_environments(ours))
+            check_environments(theirs, read_environments(ours))
 
 
 class MarkovTable(MarkovEnv):

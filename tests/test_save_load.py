@@ -5,6 +5,7 @@ import io
 import json
 import os
 import resource
+import subprocess
 import sys
 import warnings
 import zipfile
@@ -154,6 +155,20 @@ class TestWholeOrNotAtAll:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert (TabularQ.load(tmp_path / "model").q_table == 1.0).all()
         assert os.listdir(tmp_path) == ["model.zip"]
+
+    def test_a_small_disk_leaves_the_old_file(self, tmp_path, models):
+        """A disk of its own in memory, where the system lets us have one."""
+        (disk := tmp_path / "disk").mkdir()
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(disk)], capture_output=True).returncode:
+            pytest.skip("no file system may be mounted here")
+        try:
+            models[0].save(disk / "model")
+            with pytest.raises(OSError, match=r"No space left on device; a file that was there before is as it was"):
+                models[1].save(disk / "model")
+            assert (TabularQ.load(disk / "model").q_table == 1.0).all()
+            assert os.listdir(disk) == ["model.zip"]
+        finally:
+            subprocess.run(["umount", str(disk)], check=True)
 
     def test_an_interrupt_leaves_the_old_file(self, tmp_path, models, monkeypatch):
         models[0].save(tmp_path / "model")
