@@ -53,7 +53,7 @@ benchmark: $(DEV)  ## Compare speeds, as ratios within one run
 	$(BIN)/python -m benchmarks $(ARGS)
 
 study: $(DEV)  ## Repeat the paper's experiment: tables, figures and report
-	$(BIN)/python -m sb3_adaptive_q.study $(ARGS)
+	$(BIN)/python -m sb3_adaptive_q study $(ARGS)
 
 tensorboard: $(ZOO)  ## Show the training log in the browser
 	$(BIN)/tensorboard --logdir $(LOG)

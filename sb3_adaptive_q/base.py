@@ -2,6 +2,7 @@
 
 import threading
 import warnings
+import weakref
 from collections.abc import Callable
 from math import inf
 from typing import Any, ClassVar, TypeVar
@@ -18,10 +19,11 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
+from sb3_adaptive_q.action_masks import ALLOWED, mask_arrays, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.logs import record_logs
-from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
+from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions, greedy
 from sb3_adaptive_q.random_numbers import first_counter
 from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
@@ -38,6 +40,10 @@ NO_END = 2**62
 
 #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
 _SETTING_UP = threading.Lock()
+
+
+class _Training:
+    """One call of ``learn``."""
 
 
 class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
@@ -77,6 +83,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     :param seed: of the agent's random numbers and the environment
     :param device: ``"auto"`` and ``"cpu"`` mean the CPU: the table is worked on in place there
     :param _init_setup_model: whether to build the table now
+    :param use_masking: whether to keep to the actions that ``info["action_mask"]`` of every reset and step allows, in
+        behaviour and targets. A mask must be a function of the state. Compiled environments give none
     :raises ValueError: if an argument lies outside its range, or the environment's spaces are not supported
     """
 
@@ -90,6 +98,14 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     n_tables: ClassVar[int] = 1
     #: Whether an update changes one entry of ``q_table`` and nothing else, so that a refused one can be taken back
     updates_one_entry: ClassVar[bool] = True
+    #: Whether the next action is drawn from the table before the update
+    chooses_before_update: ClassVar[bool] = False
+
+    def update_function(self) -> Callable[..., Any]:
+        """
+        :return: the update, where arguments of the constructor decide between several functions
+        """
+        return self.update
 
     def extra_tables(self, n_states: int, n_actions: int) -> dict[str, tuple[int, ...]]:
         """
@@ -107,6 +123,14 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         :return: arrays that the update works with in the course of episodes, such as traces, by name
         """
         return {}
+
+    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """
+        Check arrays that were read from a file, whose numbers machine code looks up without a check.
+
+        :param arrays: of the names, shapes and types of :meth:`working_arrays`
+        :raises ValueError: if the update cannot go on with them
+        """
 
     def update_parameters(self) -> tuple[float, ...]:
         """
@@ -143,6 +167,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         exploration: str = "epsilon_greedy",
         ties: str = "random",
         exploration_schedule: str | Callable[[float], float] = "linear",
+        use_masking: bool = False,
     ) -> None:
         self.training = TrainingState()
         super().__init__(
@@ -164,6 +189,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self.exploration = exploration
         self.ties = ties
         self.exploration_schedule = exploration_schedule
+        self.use_masking = use_masking
         self.exploration_fraction = exploration_fraction
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
@@ -194,7 +220,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         ).to(self.device)
         self.policy.declare(self.extra_tables(self.policy.n_states, self.policy.n_actions), self.initial_q)
         self._share_mu()
-        self._learning = threading.Lock()
+        self._learning: weakref.ref[_Training] | None = None
+        #: For each environment, the values that its last action was chosen from
+        self.considered = np.zeros((self.n_envs, self.policy.n_actions))
         self._install_own_method()
         self._choose_functions()
 
@@ -210,7 +238,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._learning, self._rollout = threading.Lock(), None
+        self._learning = self._rollout = None
         if "policy" in state:
             self._share_mu()
             self._choose_functions()
@@ -259,8 +287,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """
         names = ["q_table", *self.extra_tables(*self.q_table.shape)]
         tables = [getattr(self.policy, name).numpy() for name in names]
-        parameters = tuple(map(float, self.update_parameters()))
-        return (*tables, *self._working.values()), (*self._step_size_memory(), parameters)
+        return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
         self: SelfTabularAlgorithm,
@@ -285,10 +312,11 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             finite number
         :raises RuntimeError: if the model is learning already
         """
-        if not self._learning.acquire(blocking=False):
-            raise RuntimeError("This model is learning already: a callback or another thread cannot let it learn once more.")
+        training = self._claim()
         try:
-            total_timesteps, callback = self._begin(total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar)
+            total_timesteps, callback = self._begin(
+                total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
+            )
             step_locals = locals()
             callback.on_training_start(step_locals, globals())
             self._rollout = rollout = self._make_rollout(callback, step_locals)
@@ -311,9 +339,21 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
             raise
         finally:
-            self._rollout = self._unfinished = None
-            self._learning.release()
+            self._learning = self._rollout = self._unfinished = None
+            del training
         return self
+
+    def _claim(self) -> _Training:
+        """
+        Mark the model as learning, by a weak reference to what the caller holds: even where an interrupt keeps the caller from
+        taking the mark off, it ends with the call.
+        """
+        training = _Training()
+        with _SETTING_UP:
+            if self._learning is not None and self._learning() is not None:
+                raise RuntimeError("This model is learning already: a callback or another thread cannot let it learn once more.")
+            self._learning = weakref.ref(training)
+        return training
 
     def _learn_from(self, rollout: StepRollout, log_interval: int | None) -> None:
         rollout.learn()
@@ -346,8 +386,11 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         if reset_num_timesteps:
             self._last_dump = 0
             self.training.forget_updates()
-        if restart:
-            self._working = self.working_arrays(self.n_envs, *self.q_table.shape)
+        self._prepare_update()
+        if restart and self.use_masking:
+            states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
+            for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
+                note_mask(self._working[ALLOWED], state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
         record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
@@ -357,11 +400,44 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self._go_on(reset_num_timesteps)
         return total_timesteps, callback
 
+    def _prepare_update(self) -> None:
+        """
+        Fix what the update works with for this call of ``learn``. Arrays that belong to episodes start anew where these do,
+        and where a parameter has changed that decides on their size.
+        """
+        self._update_parameters = tuple(map(float, self.update_parameters()))
+        working = self.new_working_arrays()
+        if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
+            # The masks belong to the states
+            self._working = working | {name: array for name, array in self._working.items() if name == ALLOWED}
+
+    def new_working_arrays(self) -> dict[str, np.ndarray]:
+        """
+        :return: the arrays that the update works with in the course of episodes, and those for action masks, as they begin
+        """
+        shape = self.q_table.shape
+        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(*shape) if self.use_masking else {})
+
+    def was_exploratory(self) -> np.ndarray:
+        """
+        For a callback, on an ordinary environment: whether the action that each environment took last was exploratory, which
+        means not among the best by the table that it was chosen from.
+
+        :return: of shape (n_envs,)
+        :raises RuntimeError: on a compiled environment, where a callback sees the end of many steps, or before any action
+        """
+        if isinstance(self.env, CompiledVecEnv) or self._next_actions is None:
+            raise RuntimeError("Exploratory actions are known while `learn` steps an ordinary environment: use LeanVecEnv.")
+        taken = self.considered[np.arange(self.n_envs), self._next_actions]
+        return taken < self.considered.max(axis=1)
+
     def _run_name(self) -> str:
         name = type(self).__name__
         return name if self._method is None else f"{name}_{self._method.data.label}"
 
     def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
+        if self.use_masking and isinstance(self.env, CompiledVecEnv):
+            raise ValueError("Compiled environments give no action masks: use LeanVecEnv, or leave `use_masking` out.")
         if not isinstance(self.env, CompiledVecEnv):
             if isinstance(self.env, VecEnvWrapper) and isinstance(self.env.unwrapped, CompiledVecEnv):
                 warnings.warn(
@@ -384,24 +460,32 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
+        action_masks: np.ndarray | None = None,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """
-        The greedy action; with ``deterministic=False`` a random one instead with probability ``exploration_rate``.
+        The greedy action; with ``deterministic=False`` what the behaviour policy does, at the exploration rate in force.
 
         :param observation: one observation or a batch of them
         :param state: handed back as it is
         :param episode_start: unused
         :param deterministic: whether to leave exploration out
+        :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
+            ``None`` allows all
         :return: the action, a scalar for one observation, or the batch of actions; and ``state``
-        :raises ValueError: if an observation lies outside the observation space
+        :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
         """
-        actions, state = self.policy.predict(observation, state, episode_start, deterministic)
-        if deterministic:
-            return actions, state
-        generator, shape = self._predict_generator, np.shape(actions)
-        random_actions = generator.integers(self.action_space.n, size=shape) + self.action_space.start  # type: ignore[attr-defined]
-        chosen = np.where(generator.random(shape) < self.exploration_rate, random_actions, actions)
-        return chosen[()], state  # a scalar rather than an array without axes, which no dict could be asked for
+        choose = greedy if deterministic else self._explore
+        return self.policy.predict(observation, state, episode_start, deterministic, action_masks, choose)
+
+    def _explore(self, rows: np.ndarray) -> np.ndarray:
+        """The behaviour policy's actions by the values of each state, which are minus infinity for forbidden actions."""
+        generator = self._predict_generator
+        if self.exploration == "boltzmann" and self.exploration_rate > 0.0:
+            # With Gumbel noise, the largest one is a draw from the Boltzmann policy
+            return (rows / self.exploration_rate + generator.gumbel(size=rows.shape)).argmax(axis=1)
+        random_actions = np.where(rows == -inf, -1.0, generator.random(rows.shape)).argmax(axis=1)
+        explores = generator.random(len(rows)) < self.exploration_rate
+        return np.where(explores, random_actions, rows.argmax(axis=1))
 
     def set_random_seed(self, seed: int | None = None) -> None:
         """
@@ -439,6 +523,10 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         if policy_name not in self.policy_aliases:
             raise ValueError(f"Policy {policy_name} unknown: use one of {', '.join(self.policy_aliases)}.")
         return self.policy_aliases[policy_name]
+
+
+def _shapes_of(arrays: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+    return {name: array.shape for name, array in arrays.items()}
 
 
 def _cpu(device: th.device | str) -> th.device | str:

@@ -1,6 +1,6 @@
 """The table as an SB3 policy, with the buffers that an algorithm and a step size declare."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from decimal import Decimal
 from math import prod
 from typing import Any
@@ -12,10 +12,19 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
+from sb3_adaptive_q.action_masks import check_mask
 from sb3_adaptive_q.state_index import StateIndex
 
 #: What the names of the buffers of a step size begin with
 MEMORY = "memory_"
+
+
+def greedy(rows: np.ndarray) -> np.ndarray:
+    """
+    :param rows: action values, of shape (batch, n_actions)
+    :return: the best action of each row, the first of them in a tie
+    """
+    return rows.argmax(axis=1)
 
 
 class TabularQPolicy(BasePolicy):
@@ -91,7 +100,7 @@ class TabularQPolicy(BasePolicy):
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
         assert isinstance(observation, th.Tensor)
-        return th.as_tensor(self._greedy_actions(observation.cpu().numpy()))
+        return th.as_tensor(self._actions(observation.cpu().numpy(), None, greedy))
 
     def predict(
         self,
@@ -99,6 +108,8 @@ class TabularQPolicy(BasePolicy):
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
+        action_masks: np.ndarray | None = None,
+        choose: Callable[[np.ndarray], np.ndarray] = greedy,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """
         The greedy action; without a detour through PyTorch, which costs several times the look-up.
@@ -106,20 +117,29 @@ class TabularQPolicy(BasePolicy):
         :param observation: one observation or a batch of them
         :param state: handed back as it is
         :param episode_start: unused
-        :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds ε-greedy exploration
+        :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds exploration
+        :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
+            ``None`` allows all
+        :param choose: gives actions, counted from 0, by rows of action values; those of forbidden actions are minus infinity
         :return: the action or the batch of actions, and ``state``
-        :raises ValueError: if an observation lies outside the observation space
+        :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
         """
         if isinstance(observation, tuple | dict):
             return super().predict(observation, state, episode_start, deterministic)
         observation = np.asarray(observation)
         is_batch = self.is_vectorized_observation(observation)
-        actions = self._greedy_actions(observation.reshape(-1, *self.observation_space.shape))  # type: ignore[misc]
+        observations = observation.reshape(-1, *self.observation_space.shape)  # type: ignore[misc]
+        actions = self._actions(observations, action_masks, choose)
         return (actions if is_batch else actions[0]), state
 
-    def _greedy_actions(self, observations: np.ndarray) -> np.ndarray:
+    def _actions(
+        self, observations: np.ndarray, action_masks: np.ndarray | None, choose: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
         rows = self.q_table.numpy()[self.state_index.of_batch(observations)]
-        return rows.argmax(axis=1) + int(self.action_space.start)  # type: ignore[attr-defined]
+        if action_masks is not None:
+            masks = np.asarray(action_masks).reshape(-1, self.n_actions)
+            rows = np.where(check_mask(masks, rows.shape, "`predict`"), rows, -np.inf)
+        return choose(rows) + int(self.action_space.start)  # type: ignore[attr-defined]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

@@ -134,8 +134,11 @@ class StepSizeInForce:
             size, rule = self._method.size_function, self._method.rule_function  # type: ignore[assignment]
         else:
             rule = self._schedule_rule()
-        behaviour = (self.exploration, self.ties)  # type: ignore[attr-defined]
-        self.choices = Choices(self.update, size, rule, behaviour, self.exploration_schedule)  # type: ignore[attr-defined]
+        model: Any = self
+        self.choices = Choices(
+            model.update_function(), size, rule, (model.exploration, model.ties), model.exploration_schedule,
+            model.use_masking, model.chooses_before_update,
+        )  # fmt: skip
 
     def _schedule_rule(self) -> Any:
         """The rule of a learning rate without a method: a constant, a line, or a function of the remaining progress."""

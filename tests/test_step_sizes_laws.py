@@ -41,7 +41,7 @@ def law(**strategies: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]],
     """Check a property on a few dozen examples."""
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
-        return settings(max_examples=40, deadline=None)(given(**strategies)(test))
+        return settings(max_examples=25, deadline=None)(given(**strategies)(test))
 
     return decorate
 
@@ -350,7 +350,7 @@ class TestObgd:
     @law(error=st.floats(-1e6, 1e6), alpha=shares, kappa=st.floats(0.1, 500.0))
     def test_no_update_changes_the_table_by_more_than_one_over_kappa(self, error: float, alpha: float, kappa: float) -> None:
         size = sizes_of("obgd", [error], alpha=alpha, kappa=kappa)[0]
-        assert abs(size * error) <= 1.0 / kappa * (1.0 + 1e-12) or size == alpha
+        assert abs(size * error) <= 1.0 / kappa * (1.0 + 1e-12)
         assert size <= alpha
         if abs(error) <= 1.0:
             assert size == pytest.approx(min(alpha, 1.0 / kappa))

@@ -2,10 +2,9 @@
 
 from sb3_adaptive_q.algorithms.td_update import choose_after, td_update
 from sb3_adaptive_q.base import TabularAlgorithm
-from sb3_adaptive_q.behaviour import largest
 
 
-def q_learning(tables, agent, size, choose, expect, memory, draws, t):
+def q_learning(tables, agent, size, choose, expect, best, memory, draws, t):
     """
     Watkins (1989); Eq. 2 of the paper. The next action is drawn from the table after the update.
 
@@ -14,14 +13,15 @@ def q_learning(tables, agent, size, choose, expect, memory, draws, t):
     :param size: forms the step size
     :param choose: the behaviour policy
     :param expect: unused
+    :param best: the best action in a state, and its value
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
     :return: the next action, and the update as the rule sees it
     """
-    best_value = 0.0 if t.terminated else largest(tables[0], t.next_state)
+    best_value = 0.0 if t.terminated else best(tables, tables[0], t.next_state)[1]
     step = td_update(tables[0], agent, size, memory, t, t.reward + agent.gamma * best_value, best_value)
-    return choose_after(tables[0], agent, choose, draws, t, step, best_value)
+    return choose_after(tables, tables[0], agent, choose, draws, t, step, best_value)
 
 
 class TabularQ(TabularAlgorithm):

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from sb3_adaptive_q.step_sizes.step import Step
 
 SAME_ACTION, NEXT_ACTION, MAXIMUM = range(3)
@@ -53,6 +55,41 @@ class Agent(NamedTuple):
     parameters: tuple[float, ...]
 
 
+class Memory(NamedTuple):
+    """
+    What a step size and an algorithm work with besides the table.
+
+    :param arrays: of the step size, each of shape (n_tables, rows, columns)
+    :param parameters: of the step size and of the rule
+    :param bounds: the least and the largest step size
+    :param algorithm_parameters: of the algorithm
+    :param table: which of the algorithm's tables is updated
+    """
+
+    arrays: tuple[np.ndarray, ...]
+    parameters: tuple[float, ...]
+    bounds: tuple[float, float]
+    algorithm_parameters: tuple[float, ...]
+    table: int
+
+
+def of_table(memory, table):
+    """
+    :param memory: the memory of an algorithm with several tables
+    :param table: the number of one
+    :return: the memory for an update of that table
+    """
+    return Memory(memory.arrays, memory.parameters, memory.bounds, memory.algorithm_parameters, table)
+
+
+def is_sound(step):
+    """
+    :param step: an update, as the step size formed it
+    :return: whether its step size is from 0 to 1. With another one nothing may be written, and the update is refused
+    """
+    return 0.0 <= step.size <= 1.0
+
+
 def td_update(table, agent, size, memory, t, target, next_value):
     """
     Move one entry of a table towards a target: Q(s, a) += μ (target - Q(s, a)).
@@ -68,38 +105,83 @@ def td_update(table, agent, size, memory, t, target, next_value):
     """
     value = table[t.state, t.action]
     step = size(memory, agent, t, value, next_value, target - value)
-    if 0.0 <= step.size <= 1.0:
+    if is_sound(step):
         table[t.state, t.action] = value + step.size * step.td_error
     return step
 
 
-def choose_after(table, agent, choose, draws, t, step, best_value):
+def best_for_rule(tables, values, agent, best, t):
     """
-    Choose the action to take in s' on the table after the update.
+    :param tables: as the behaviour policy has them
+    :param values: the table to be updated, of shape (n_states, n_actions)
+    :param agent: the numbers of the moment
+    :param best: the best action in a state, and its value
+    :param t: the transition
+    :return: max_a Q_t(s', a) before the update where the rule asks for it, else 0
+    """
+    if agent.next_action != MAXIMUM or t.terminated:
+        return 0.0
+    return best(tables, values, t.next_state)[1]
 
-    :param table: action values after the update of one entry, of shape (n_states, n_actions)
+
+def choose_after(tables, values, agent, choose, draws, t, step, best_value):
+    """
+    Choose the action to take in s' after the update of one entry.
+
+    :param tables: what the behaviour looks at first, after the update
+    :param values: the table that was updated, of shape (n_states, n_actions)
     :param agent: the numbers of the moment
     :param choose: the behaviour policy
     :param draws: the agent's counter
     :param t: the transition
     :param step: the update
-    :param best_value: max_a Q_t(s', a), before the update
+    :param best_value: max_a Q_t(s', a) before the update, where the rule asks for it
     :return: the action (0 where s' is terminal), and the update as the rule for the next step size sees it
     """
     if t.terminated:
         return 0, seen_by_rule(step, 0.0)
-    action = choose(table, t.next_state, agent.epsilon, draws)
+    action = choose(tables, t.next_state, agent.epsilon, draws)
     if agent.next_action == MAXIMUM:
         return action, seen_by_rule(step, best_value)
     meant = t.action if agent.next_action == SAME_ACTION else action
     is_updated_entry = t.next_state == t.state and meant == t.action
-    return action, seen_by_rule(step, step.value if is_updated_entry else table[t.next_state, meant])
+    return action, seen_by_rule(step, step.value if is_updated_entry else values[t.next_state, meant])
 
 
-def value_for_rule(table, agent, t, next_action):
+def keep_row(kept, values, t):
     """
-    :param table: action values before the update, of shape (n_states, n_actions)
+    Copy the values of s', for an update of several entries that is followed by the choice of an action.
+
+    :param kept: of shape (n_actions,); set to the row of s'
+    :param values: of shape (n_states, n_actions)
+    :param t: the transition
+    """
+    if not t.terminated:
+        for action in range(values.shape[1]):
+            kept[action] = values[t.next_state, action]
+
+
+def kept_value(kept, agent, t, next_action, best_value):
+    """
+    :param kept: Q_t(s', ·), from :func:`keep_row`
     :param agent: the numbers of the moment; its ``next_action`` says which action is meant
+    :param t: the transition
+    :param next_action: the action that is taken in s'
+    :param best_value: max_a Q_t(s', a), where the rule asks for it
+    :return: Q_t(s', ·) for the rule, 0 where s' is terminal
+    """
+    if t.terminated:
+        return 0.0
+    if agent.next_action == MAXIMUM:
+        return best_value
+    return kept[t.action if agent.next_action == SAME_ACTION else next_action]
+
+
+def value_for_rule(tables, agent, best, t, next_action):
+    """
+    :param tables: action values first, before the update
+    :param agent: the numbers of the moment; its ``next_action`` says which action is meant
+    :param best: the best action in a state, and its value
     :param t: the transition
     :param next_action: the action that is taken in s'
     :return: Q_t(s', ·) for the rule, 0 where s' is terminal
@@ -107,11 +189,8 @@ def value_for_rule(table, agent, t, next_action):
     if t.terminated:
         return 0.0
     if agent.next_action == MAXIMUM:
-        best_value = table[t.next_state, 0]
-        for action in range(1, table.shape[1]):
-            best_value = max(best_value, table[t.next_state, action])
-        return best_value
-    return table[t.next_state, t.action if agent.next_action == SAME_ACTION else next_action]
+        return best(tables, tables[0], t.next_state)[1]
+    return tables[0][t.next_state, t.action if agent.next_action == SAME_ACTION else next_action]
 
 
 def seen_by_rule(step, next_value):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.td_update import Agent, Transition
+from sb3_adaptive_q.algorithms.td_update import Agent, Memory, Transition
 from sb3_adaptive_q.random_numbers import uniform  # noqa: F401  # compiled with every loop
 from sb3_adaptive_q.step_sizes.step import Step
 
@@ -84,33 +84,6 @@ class Now(NamedTuple):
     td_error_sum: float
 
 
-class Memory(NamedTuple):
-    """
-    What a step size and an algorithm work with besides the table.
-
-    :param arrays: of the step size, each of shape (n_tables, rows, columns)
-    :param parameters: of the step size and of the rule
-    :param bounds: the least and the largest step size
-    :param algorithm_parameters: of the algorithm
-    :param table: which of the algorithm's tables is updated
-    """
-
-    arrays: tuple[np.ndarray, ...]
-    parameters: tuple[float, ...]
-    bounds: tuple[float, float]
-    algorithm_parameters: tuple[float, ...]
-    table: int
-
-
-def of_table(memory, table):
-    """
-    :param memory: the memory of an algorithm with several tables
-    :param table: the number of one
-    :return: the memory for an update of that table
-    """
-    return Memory(memory.arrays, memory.parameters, memory.bounds, memory.algorithm_parameters, table)
-
-
 def load_fixed(learner):
     """The scalars that a training holds fixed, as values, which the compiler keeps in registers."""
     return Fixed(
@@ -152,16 +125,16 @@ def at_progress(step, progress):
     )  # fmt: skip
 
 
-def make_learn_one(update, size, rule, choose, expect, explore):
+def make_learn_one(update, size, rule, behaviour, explore):
     """
     :param update: the algorithm's update
     :param size: forms the step size of this update, as a :class:`Step`
     :param rule: forms the scalar step size that the next update starts from
-    :param choose: the behaviour policy
-    :param expect: its expectation of a state
+    :param behaviour: the :class:`sb3_adaptive_q.behaviour.Behaviour`
     :param explore: the exploration rate by the progress, from a :class:`Fixed`
     :return: a function that learns from one transition and chooses what to do next
     """
+    choose, expect, best, _ = behaviour
 
     def learn_one(tables, memory, fixed, now, draws, t, env):
         epsilon, progress, n_episodes = now.epsilon, now.progress, now.n_episodes
@@ -170,14 +143,14 @@ def make_learn_one(update, size, rule, choose, expect, explore):
             if fixed.holds_epsilon == 0:
                 epsilon = explore(fixed, progress)
         agent = Agent(fixed.gamma, epsilon, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
-        action, step = update(tables, agent, size, choose, expect, memory, draws, t)
+        action, step = update(tables, agent, size, choose, expect, best, memory, draws, t)
         if t.done:
             n_episodes += 1
             if fixed.total_episodes > 0:
                 progress = min(n_episodes / fixed.total_episodes, 1.0)
                 if fixed.holds_epsilon == 0:
                     epsilon = explore(fixed, progress)
-            action = choose(tables[0], t.start_state, epsilon, draws)
+            action = choose(tables, t.start_state, epsilon, draws)
         if t.done and fixed.resets_mu != 0:
             mu = fixed.mu_0
         elif fixed.holds_mu != 0:
@@ -209,23 +182,29 @@ def refuse(learner, status, now, step):
         learner.refused = step.size if status == STEP_SIZE_OUT_OF_RANGE else now.mu
 
 
-def make_update_loop(learn_one):
+def make_update_loop(learn_one, show, chooses_before_update):
     """
     :param learn_one: from :func:`make_learn_one`
+    :param show: writes what the behaviour policy looks at into a row
+    :param chooses_before_update: whether the next action is drawn from the table before the update
     :return: a function that learns from one transition of an ordinary environment; it returns the next action, or minus
-        the status where the transition was refused
+        the status where the transition was refused. For each environment it notes the values that the action was chosen from
     """
 
-    def update_loop(tables, memory, learner, draws, transition, env):
+    def update_loop(tables, memory, learner, draws, transition, env, considered):
         before = load_now(learner[0])
         state, action, reward, next_state, terminated, done, start_state = transition
         t = Transition(state, action, reward, next_state, terminated, done, start_state)
         known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
+        if chooses_before_update:
+            show(tables, next_state, considered[env])
         action, status, now, step = learn_one(tables, known, load_fixed(learner[0]), before, draws, t, env)
         if status != SOUND:
             refuse(learner[0], status, now, step)
             return -status
         store_now(learner[0], now)
+        if done or not chooses_before_update:
+            show(tables, start_state, considered[env])
         return action
 
     return update_loop
@@ -277,7 +256,7 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
             reward = np.float64(np.float32(reward))  # as a VecEnv hands it on
             done = terminated or length >= limit
             if done:
-                place = reset(parameters, generator)
+                place = reset(parameters, place, generator)
                 start_state = index(parameters, place)
                 dones[n_steps, 0] = True
                 ended = episodes[n_ended]
@@ -347,7 +326,7 @@ def make_several_loop(learn_one, reset, step, index, load_state, store_state, na
                 reward = np.float64(np.float32(reward))
                 done = terminated or env.length >= limit
                 if done:
-                    place = reset(parameters, generators[i])
+                    place = reset(parameters, place, generators[i])
                     start_state = index(parameters, place)
                     dones[n_steps, i] = True
                     ended = episodes[n_ended]

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sb3_adaptive_q.behaviour import BEHAVIOURS, SCHEDULES
-from sb3_adaptive_q.compiled.loops import make_learn_one
+from sb3_adaptive_q.action_masks import make_masked
+from sb3_adaptive_q.behaviour import BEHAVIOURS, SCHEDULES, Behaviour
+from sb3_adaptive_q.compiled.loops import make_learn_one, make_update_loop
 
 
 class Choices(NamedTuple):
@@ -16,6 +17,8 @@ class Choices(NamedTuple):
     :param rule: forms the scalar step size that the next update starts from
     :param behaviour: a key of ``BEHAVIOURS``
     :param exploration_schedule: a name in ``SCHEDULES``, or a plain function of the progress
+    :param masked: whether the behaviour keeps to the actions that a mask allows
+    :param chooses_before_update: whether the algorithm draws the next action from the table before the update
     """
 
     update: Callable[..., Any]
@@ -23,13 +26,28 @@ class Choices(NamedTuple):
     rule: Callable[..., float]
     behaviour: tuple[str, str]
     exploration_schedule: str | Callable[[float], float]
+    masked: bool
+    chooses_before_update: bool
 
     def learn_one(self) -> Callable[..., Any]:
         """
         :return: the function that learns from one transition
         """
-        choose, expect = BEHAVIOURS[self.behaviour]
-        return make_learn_one(self.update, self.size, self.rule, choose, expect, make_explore(*self[3:]))  # type: ignore[arg-type]
+        explore = make_explore(self.behaviour, self.exploration_schedule)
+        return make_learn_one(self.update, self.size, self.rule, self.functions_of_behaviour(), explore)
+
+    def update_loop(self) -> Callable[..., Any]:
+        """
+        :return: the function that learns from one transition of an ordinary environment
+        """
+        return make_update_loop(self.learn_one(), self.functions_of_behaviour().show, self.chooses_before_update)
+
+    def functions_of_behaviour(self) -> Behaviour:
+        """
+        :return: what the behaviour policy is made of
+        """
+        behaviour = BEHAVIOURS[self.behaviour]
+        return make_masked(behaviour) if self.masked else behaviour
 
 
 def make_explore(behaviour: tuple[str, str], schedule: str | Callable[[float], float]) -> Callable[..., float]:

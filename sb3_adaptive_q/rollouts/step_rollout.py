@@ -1,13 +1,14 @@
 """Transitions made one step of the environments at a time."""
 
 import warnings
+from collections.abc import Callable
 from math import isfinite
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_adaptive_q.behaviour import BEHAVIOURS
+from sb3_adaptive_q.action_masks import ALLOWED, note_mask
 from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, machine_code
@@ -52,13 +53,16 @@ class StepRollout:
         self.learner, self.draws = model.training.record, model.training.draws
         self.state_index = model.policy.state_index
         self._state_of = self.state_index.of
+        if model.considered.shape[0] != self.n_envs:
+            model.considered = np.zeros((self.n_envs, model.policy.n_actions))
+        self.considered = model.considered
         self.first_action = int(model.action_space.start)
         self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
         self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
         self.transitions: list[tuple[float, int, bool, bool, int]] = []
         self.take_choices()
         if model._next_actions is None:
-            model._next_actions = np.array([self._choose_action(state) for state in self.states], dtype=np.int64)
+            model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
         self._action_array = model._next_actions
         # Its entries are Python's integers, which machine code takes faster than NumPy's
         self.actions: Any = memoryview(model._next_actions)  # type: ignore[arg-type]
@@ -71,13 +75,17 @@ class StepRollout:
         self._compile()
 
     def _compile(self) -> None:
-        function = loops.make_update_loop(self.choices.learn_one())
+        function = self.choices.update_loop()
         try:
-            arguments = (self.tables, self.memory, self.learner, self.draws, _EXAMPLE, 0)
-            self._update = as_python(function) if is_disabled() else machine_code(function, arguments)
+            arguments = (self.tables, self.memory, self.learner, self.draws, _EXAMPLE, 0, self.considered)
+            self._update = self._in_python(function) if is_disabled() else machine_code(function, arguments)
         except CannotCompile as error:
             warnings.warn(f"{self.model.own_functions()} runs as Python, which is slower: {error}.", stacklevel=5)
-            self._update = as_python(function)
+            self._update = self._in_python(function)
+
+    def _in_python(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        self.learner = self.learner.view(np.recarray)  # whose fields Python reads by their names, as machine code does
+        return as_python(function)
 
     def advance(self) -> None:
         """
@@ -93,6 +101,8 @@ class StepRollout:
         self.model.num_timesteps += self.n_envs
         self.infos, self.dones = infos, dones.tolist()
         self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
+        if self.model.use_masking:
+            self._note_masks(self.model._working[ALLOWED])
         if True in self.dones:
             self._hand_over_episodes()
         self.show(actions, new_obs, rewards, dones, infos)
@@ -103,10 +113,10 @@ class StepRollout:
             self.take_choices()
         self.note_episodes()
         update, states, actions = self._update, self.states, self.actions
-        tables, memory, learner, draws = self.tables, self.memory, self.learner, self.draws
+        tables, memory, learner, draws, considered = self.tables, self.memory, self.learner, self.draws, self.considered
         for i, (reward, next_state, terminated, done, start_state) in enumerate(self.transitions):
             transition = (states[i], actions[i], reward, next_state, terminated, done, start_state)
-            action = update(tables, memory, learner, draws, transition, i)
+            action = update(tables, memory, learner, draws, transition, i, considered)
             if action < 0:
                 self.refuse(-action, states[i], actions[i])
             states[i], actions[i] = start_state, action
@@ -223,9 +233,18 @@ class StepRollout:
             transitions.append((reward, next_state, terminated, done, state))
         return transitions
 
-    def _choose_action(self, state: int) -> int:
-        choose = as_python(BEHAVIOURS[self.choices.behaviour][0])
-        return int(choose(self.tables[0], state, self.model.exploration_rate, self.draws))
+    def _choose_action(self, i: int) -> int:
+        behaviour = self.choices.functions_of_behaviour()
+        behaviour.show(self.tables, self.states[i], self.considered[i])
+        return int(as_python(behaviour.choose)(self.tables, self.states[i], self.model.exploration_rate, self.draws))
+
+    def _note_masks(self, allowed: np.ndarray) -> None:
+        """Take over the masks of the states in which an action is chosen next."""
+        for i, (_, next_state, terminated, done, start_state) in enumerate(self.transitions):
+            if not terminated:
+                note_mask(allowed, next_state, self.infos[i])
+            if done:
+                note_mask(allowed, start_state, self.env.unwrapped.reset_infos[i])
 
     def refuse_reward(self, i: int, reward: float) -> NoReturn:
         """

@@ -7,7 +7,7 @@ this one included.
 
 import math
 
-from sb3_adaptive_q.step_sizes.counts import A_MEANING, generalised_harmonic
+from sb3_adaptive_q.step_sizes.counts import generalised_harmonic
 from sb3_adaptive_q.step_sizes.step import Memory, Parameter, Step, StepSize, first_step_size, starts_at_alpha_0
 
 
@@ -84,7 +84,7 @@ KESTEN = StepSize(
     step_size=kesten,
     parameters={
         "alpha_0": first_step_size(1.0),
-        "a": Parameter(10.0, 0.0, float("inf"), A_MEANING + " and changes of sign", open_lower=True),
+        "a": Parameter(10.0, 0.0, float("inf"), "half the first step size is reached at K = a + 1", open_lower=True),
     },
     memory={"changes": 0.0, "last_error": 0.0},
     counts=True,

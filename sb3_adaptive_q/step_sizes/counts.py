@@ -55,15 +55,12 @@ def harmonic(mu: float, step: Step, alpha_0: float, a: float) -> float:
     return generalised_harmonic(step.count, alpha_0, a)
 
 
-#: The parameter a of the harmonic step size, which Kesten's shares
-A_MEANING = "the step size is half the first one after this many updates"
-
 HARMONIC = StepSize(
     name="harmonic",
     step_size=harmonic,
     parameters={
         "alpha_0": first_step_size(1.0),
-        "a": Parameter(1.0, 0.0, float("inf"), A_MEANING, open_lower=True),
+        "a": Parameter(1.0, 0.0, float("inf"), "half the first step size is reached at n = a + 1", open_lower=True),
     },
     memory={},
     counts=True,

@@ -100,7 +100,7 @@ IDBD = StepSize(
     memory={"log_size": starts_at_log_alpha_0, "trace": 0.0},
     counts=False,
     formula="β ← β + θ δ h, μ = e^β, h ← h (1 - μ) + μ δ",
-    source="Sutton 1992 (IDBD); Kearney et al. 2018 (TIDBD)",
+    source="Sutton 1992, Adapting bias by gradient descent; Kearney et al. 2018",
 )
 
 
@@ -146,7 +146,7 @@ K1 = StepSize(
     memory={"log_gain": _starts_at_log_odds, "trace": 0.0},
     counts=False,
     formula="β ← β + θ δ h, μ = e^β / (1 + e^β), h ← (h + μ δ) (1 - μ)",
-    source="Sutton 1992 (Gain adaptation beats least squares?)",
+    source="Sutton 1992, Gain adaptation beats least squares?",
 )
 
 

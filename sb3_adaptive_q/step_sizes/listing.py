@@ -1,12 +1,8 @@
 """The text of ``python -m sb3_adaptive_q methods``: every method with its formula, parameters and source."""
 
-import io
+import textwrap
 from collections.abc import Iterable
 from typing import NamedTuple
-
-from rich.box import ASCII, HORIZONTALS
-from rich.console import Console
-from rich.table import Table
 
 from sb3_adaptive_q.step_sizes.registry import STEP_SIZES
 from sb3_adaptive_q.step_sizes.step import StepSize
@@ -40,13 +36,13 @@ _SPELLED = {
 
 LEGEND = (
     "μ: the step size. n: the number of updates of the cell, this one included. δ: the temporal-difference error. "
-    "γ: the discount factor. A ← B: B replaces A at every update. Other letters: what the cell remembers, 0 at first."
+    "γ: the discount factor. A ← B: B replaces A at every update. Other letters: what the cell remembers."
 )
 
 
 class Description(NamedTuple):
     """
-    A row of the listing.
+    An entry of the listing.
 
     :param name: the number or the name that selects the method
     :param formula: what it computes
@@ -60,30 +56,19 @@ class Description(NamedTuple):
     source: str
 
 
-def describe(paper: Iterable[Description] = (), encoding: str | None = "utf-8", width: int = 127) -> str:
+def describe(paper: Iterable[Description] = (), encoding: str | None = "utf-8", width: int = 100) -> str:
     """
     List the methods: the paper's, where they are handed over, then the step sizes of the literature.
 
-    :param paper: the rows of the paper's methods
+    :param paper: the entries of the paper's methods
     :param encoding: the encoding of the file that the text is for, such as ``sys.stdout.encoding``; signs that it does not
         have are spelled out. None stands for ASCII
     :param width: the width of the text, in characters
     :return: the text
     """
-    rows = [*paper, *map(_description, STEP_SIZES.values())]
-    encoding = encoding or "ascii"
-    table = Table(
-        box=HORIZONTALS if _can_show(HORIZONTALS.head_row_horizontal, encoding) else ASCII, show_lines=True, pad_edge=False
-    )
-    for heading, share in (("Method", None), ("Formula", 4), ("Parameters", 4), ("Source", 2)):
-        table.add_column(heading, ratio=share, no_wrap=share is None)
-    for row in rows:
-        table.add_row(*(_spell(text, encoding) for text in (row.name, row.formula, "\n".join(row.parameters), row.source)))
-    console = Console(file=io.StringIO(), width=width, color_system=None, legacy_windows=False, markup=False, highlight=False)
-    with console.capture() as captured:
-        console.print(table)
-        console.print(_spell(LEGEND, encoding))
-    return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
+    entries = [*paper, *map(_description, STEP_SIZES.values())]
+    blocks = [_block(entry, width) for entry in entries] + [textwrap.fill(LEGEND, width, break_on_hyphens=False)]
+    return _spell("\n\n".join(blocks), encoding or "ascii") + "\n"
 
 
 def _description(step_size: StepSize) -> Description:
@@ -94,13 +79,21 @@ def _description(step_size: StepSize) -> Description:
     return Description(step_size.name, step_size.formula, parameters, step_size.source)
 
 
-def _can_show(text: str, encoding: str) -> bool:
-    try:
-        text.encode(encoding)
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True
+def _block(entry: Description, width: int) -> str:
+    """The name and the source in one line, then the formula and the parameters below it, indented."""
+    lines = [f"{entry.name}  ({entry.source})"]
+    for text in (entry.formula, *entry.parameters):
+        lines += textwrap.wrap(text, width, initial_indent="    ", subsequent_indent="        ")
+    return "\n".join(lines)
 
 
 def _spell(text: str, encoding: str) -> str:
     return "".join(sign if _can_show(sign, encoding) else _SPELLED.get(sign, "?") for sign in text)
+
+
+def _can_show(sign: str, encoding: str) -> bool:
+    try:
+        sign.encode(encoding)
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -43,7 +43,7 @@ def find_step_size(name: object) -> StepSize:
     """
     if isinstance(name, str) and name in STEP_SIZES:
         return STEP_SIZES[name]
-    nearest = difflib.get_close_matches(name, STEP_SIZES, cutoff=0.5) if isinstance(name, str) else []
+    nearest = difflib.get_close_matches(name.lower(), STEP_SIZES, cutoff=0.5) if isinstance(name, str) else []
     advice = f"Did you mean {_either(nearest)}?" if nearest else f"The names are {', '.join(STEP_SIZES)}."
     raise ValueError(f"There is no step size {name!r}. {advice}")
 

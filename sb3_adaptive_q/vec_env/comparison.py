@@ -71,6 +71,7 @@ class _SideBySide:
         if self.dynamics.draws_from_words:
             self.generator = np.zeros(4, np.uint64)
             read_pcg64(self.env.np_random, self.generator)
+        self.state = self.dynamics.read_state()
         self.reset()
 
     def put(self, state: Any) -> None:
@@ -79,7 +80,7 @@ class _SideBySide:
 
     def reset(self) -> None:
         observation, _ = self.env.reset()
-        self.state = self._run(self.dynamics.reset, self.generator)
+        self.state = self._run(self.dynamics.reset_function(), self.state, self.generator)
         self._compare("a reset", self._theirs(observation), self._ours())
 
     def step(self, action: int) -> bool:

@@ -1,5 +1,6 @@
 """What a compiled environment is: three plain functions, their parameters, and a way to and from the Python object."""
 
+import inspect
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
@@ -20,7 +21,8 @@ class Dynamics:
     An environment's ``reset`` and ``step`` as plain functions. A subclass has three static functions in the part of Python
     that Numba compiles; a state is a whole number, or a tuple of up to eight floats:
 
-    - ``reset(parameters, generator) -> state``
+    - ``reset(parameters, generator) -> state``, or ``reset(parameters, state, generator) -> state`` where something outlasts
+      an episode; the state is the one in which it ended
     - ``step(parameters, state, action, generator) -> (state, reward, terminated)``; actions count from 0
     - ``index(parameters, state) -> row of the table``
 
@@ -73,13 +75,26 @@ class Dynamics:
         """
         return tuple(row.tolist()) if isinstance(self.read_state(), tuple) else int(row[0])
 
+    def reset_function(self) -> Callable[..., Any]:
+        """
+        :return: ``reset`` as a function of the parameters, the state in which the last episode ended, and the generator
+        """
+        if len(inspect.signature(self.reset).parameters) == 3:
+            return self.reset
+        reset = self.reset
+
+        def reset_anew(parameters, state, generator):  # type: ignore[no-untyped-def]
+            return reset(parameters, generator)
+
+        return reset_anew
+
     def loop_functions(self) -> tuple[Callable[..., Any], ...]:
         """
         :return: what a learning loop is made of: reset, step, index, load and store of the state, the name of the parameters,
             and the check of a transition
         """
         load, store = place_functions(self.read_state())
-        return self.reset, self.step, self.index, load, store, _name_parameters(type(self.parameters)), self.check
+        return self.reset_function(), self.step, self.index, load, store, _name_parameters(type(self.parameters)), self.check
 
 
 def _name_parameters(container: type) -> Callable[..., Any]:
