@@ -32,8 +32,9 @@ class SavedAsData:
     built_anew: ClassVar[frozenset[str]] = frozenset(
         (
             "policy", "device", "env", "replay_buffer", "rollout_buffer", "_vec_normalize_env", "_logger", "_custom_logger",
-            "choices", "episode_series", "training", "_known_learning_rate", "_learning", "_method", "_missing_method",
-            "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished", "_working",
+            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_learning", "_method",
+            "_missing_method", "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished",
+            "_update_parameters", "_working",
         )
     )  # fmt: skip
 
@@ -190,7 +191,7 @@ class SavedAsData:
     def _restore_next_step(self, saved: SavedModel) -> None:
         """What goes on with the episode that is running."""
         model: Any = self
-        expected = self.new_working_arrays()
+        expected = model.new_working_arrays()
         fits = {name: (array.shape, array.dtype) for name, array in saved.working.items()} == {
             name: (array.shape, array.dtype) for name, array in expected.items()
         }
@@ -198,25 +199,10 @@ class SavedAsData:
             raise ValueError(
                 f"the arrays that {type(self).__name__} works with are not those of this table and its environments"
             )
-        self.check_working_arrays(saved.working)
+        model.check_working_arrays(saved.working)
         model._working = saved.working
         actions = (saved.running or {}).get("next_actions")
         model._next_actions = check_actions(actions, model.n_envs, model.q_table.shape[1])
-
-    def new_working_arrays(self) -> dict[str, np.ndarray]:
-        """
-        :return: the arrays that the update works with, as they begin
-        """
-        model: Any = self
-        return model.working_arrays(model.n_envs, *model.q_table.shape)
-
-    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """
-        Check arrays that were read from a file, whose numbers machine code looks up without a check.
-
-        :param arrays: of the names, shapes and types of :meth:`new_working_arrays`
-        :raises ValueError: if the update cannot go on with them
-        """
 
     def _set_schedule(self, schedule: Any) -> None:
         model: Any = self
