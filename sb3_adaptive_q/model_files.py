@@ -22,6 +22,9 @@ from sb3_adaptive_q.state_index import StateIndex
 from sb3_adaptive_q.step_sizes import STEP_SIZES, resolve_parameters
 from sb3_adaptive_q.training_state import TrainingState
 
+#: More environments than are ever stepped one after the other
+MOST_ENVS = 1_000_000
+
 SelfSavedAsData = TypeVar("SelfSavedAsData", bound="SavedAsData")
 
 
@@ -167,7 +170,7 @@ class SavedAsData:
         model.policy.load_state_dict({name: th.from_numpy(array) for name, array in buffers.items()}, strict=False)
         model.training.restore(training)
         if model._last_obs is not None:
-            self._restore_next_step(saved)
+            self._restore_next_step(saved, is_changed=bool(changes))
         model._choose_functions()
 
     def _put_in_force(
@@ -188,13 +191,15 @@ class SavedAsData:
             # What the method remembers is kept for its callback, and for the next file
             model.policy.declare({name: array.shape for name, array in buffers.items() if name.startswith(MEMORY)}, 0.0)
 
-    def _restore_next_step(self, saved: SavedModel) -> None:
+    def _restore_next_step(self, saved: SavedModel, is_changed: bool) -> None:
         """What goes on with the episode that is running."""
         model: Any = self
         expected = model.new_working_arrays()
         fits = {name: (array.shape, array.dtype) for name, array in saved.working.items()} == {
             name: (array.shape, array.dtype) for name, array in expected.items()
         }
+        if not fits and is_changed:  # of another size, because of another γ or λ: they begin anew
+            return
         if not fits or any(np.isnan(array).any() for array in saved.working.values()):
             raise ValueError(
                 f"the arrays that {type(self).__name__} works with are not those of this table and its environments"
@@ -301,6 +306,9 @@ def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
     shape = StateIndex(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
     if saved.buffers["q_table"].shape != shape:
         raise ValueError(f"`q_table` has the shape {saved.buffers['q_table'].shape}, but the spaces ask for {shape}")
+    n_envs = attributes.get("n_envs", 1)
+    if not (type(n_envs) is int and 1 <= n_envs <= MOST_ENVS):
+        raise ValueError(f"`n_envs` must be from 1 to {MOST_ENVS}, but got {n_envs!r}")
     _check_values(saved.buffers)
     TrainingState().restore(saved.training)
 

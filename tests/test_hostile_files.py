@@ -378,7 +378,15 @@ class TestNumbers:
         refuse(path, f"`{name}` must be")
 
     @pytest.mark.parametrize(
-        ("name", "value"), [("gamma", 2.0), ("gamma", "x"), ("exploration", "x"), ("total_episodes", -1), ("learning_rate", 7)]
+        ("name", "value"),
+        [
+            ("gamma", 2.0),
+            ("gamma", "x"),
+            ("exploration", "x"),
+            ("total_episodes", -1),
+            ("learning_rate", 7),
+            ("n_envs", 10**12),
+        ],
     )
     def test_arguments(self, path, name, value):
         forge(path, lambda data: data["attributes"].update({name: value}))

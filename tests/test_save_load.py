@@ -24,7 +24,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, TabularQ, TabularQPolicy, method
+from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, SARSALambda, TabularQ, TabularQPolicy, method
 from sb3_adaptive_q.saved_values import decode, decode_schedule, encode, encode_schedule
 
 LAKE = "FrozenLake-v1"
@@ -437,6 +437,14 @@ class TestLoad:
     def test_numbers_that_are_no_arguments_can_be_asked_for_too(self, tmp_path, name, value):
         TabularQ("MlpPolicy", LAKE).learn(20).save(tmp_path / "model")
         assert getattr(TabularQ.load(tmp_path / "model", **{name: value}), name) == value
+
+    def test_arrays_of_another_size_begin_anew(self, tmp_path):
+        """How many pairs have traces depends on γ."""
+        SARSALambda("MlpPolicy", LAKE, seed=0).learn(50).save(tmp_path / "model")
+        for env in (None, make_lake()):
+            model = SARSALambda.load(tmp_path / "model", env=env, gamma=0.25)
+            model.predict(0)
+        model.learn(50, reset_num_timesteps=False)
 
     def test_policy_arguments_must_be_those_of_the_file(self, tmp_path):
         TabularQ("MlpPolicy", LAKE).save(tmp_path / "model")
