@@ -255,7 +255,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
             )
         if "initial_q" in self.policy_kwargs:
-            raise ValueError("`initial_q` is an argument of the algorithm itself: please take it out of `policy_kwargs`.")
+            raise ValueError(f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`.")
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
@@ -275,8 +275,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         values = np.asarray(values, dtype=np.float64)
         if values.shape != self.q_table.shape or not np.isfinite(values).all():
             raise ValueError(
-                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape {values.shape}"
-                f"{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
+                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape "
+                f"{values.shape}{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
             )
         self.q_table[:] = values
         for name in self.extra_tables(*values.shape):
@@ -284,8 +284,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
 
     def learning_arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[Any, ...]]:
         """
-        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters of
-            the algorithm, all as machine code takes them
+        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
+            of the algorithm, all as machine code takes them
         """
         names = ["q_table", *self.extra_tables(*self.q_table.shape)]
         tables = [getattr(self.policy, name).numpy() for name in names]
@@ -353,7 +353,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         training = _Training()
         with _SETTING_UP:
             if self._learning is not None and self._learning() is not None:
-                raise RuntimeError("This model is learning already: a callback or another thread cannot let it learn once more.")
+                raise RuntimeError(
+                    "This model is learning already: a callback or another thread cannot let it learn once more."
+                )
             self._learning = weakref.ref(training)
         return training
 

@@ -64,14 +64,13 @@ class InstalledMethod:
                 takes = expected[: len(expected) - len(names)]
                 if sorted(takes) != sorted(data.parameters) or expected[len(takes) :] != names:
                     raise ValueError(
-                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters are "
-                        f"({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make them "
-                        "agree, parameters first."
+                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters "
+                        f"are ({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make "
+                        "them agree, parameters first."
                     )
                 data = data._replace(parameters={name: data.parameters[name] for name in takes})
         for name, value in data.parameters.items():
-            if not isinstance(value, Real) or not isfinite(value):
-                raise ValueError(f"`{name}` must be a finite number, for {data.owner}, but got {value!r}.")
+            check_finite(name, value)
         return {name: float(value) for name, value in data.parameters.items()}
 
     @property
@@ -100,7 +99,7 @@ class InstalledMethod:
     def rule_function(self) -> Callable[..., float]:
         """What forms the next scalar μ."""
         if self.rule is not None:
-            return self.rule  # type: ignore[no-any-return]
+            return self.rule
         return last_size if self.step_size is not None else keep_mu
 
     def start(self) -> float:
@@ -140,6 +139,16 @@ def check_step_size(name: str, value: Any) -> None:
     """
     if not is_step_size(value):
         raise ValueError(f"`{name}` must be from 0 to 1, but got {value!r}.")
+
+
+def check_finite(name: str, value: Any) -> None:
+    """
+    :param name: what the value is called
+    :param value: a parameter of a method
+    :raises ValueError: if it is not a finite number
+    """
+    if not isinstance(value, Real) or not isfinite(value):
+        raise ValueError(f"`{name}` must be finite and a number, but got {value!r}.")
 
 
 def _check_data(data: MethodData) -> None:

@@ -168,11 +168,15 @@ def check_memory(shapes: Mapping[str, tuple[int, ...]]) -> None:
     """
     needed, free = 8 * sum(prod(shape) for shape in shapes.values()), psutil.virtual_memory().available
     if needed > free:
-        arrays = ", ".join(f"`{name}` of shape {shape}" for name, shape in shapes.items())
+        arrays = ", ".join(f"{name.removeprefix(MEMORY)}: {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(
-            f"The table or memory ({arrays}) takes {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB of memory are "
-            "free: use fewer cells, or fewer components of the observation."
+            f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} "
+            "GiB of memory are free: use fewer cells, or fewer components of the observation."
         )
+
+
+def _in_words(shape: tuple[int, ...]) -> str:
+    return f"{shape[-2]} states and {shape[-1]} actions" if len(shape) == 2 else f"shape {shape}"
 
 
 MlpPolicy = TabularQPolicy

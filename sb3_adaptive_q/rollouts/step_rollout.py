@@ -65,7 +65,7 @@ class StepRollout:
             model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
         self._action_array = model._next_actions
         # Its entries are Python's integers, which machine code takes faster than NumPy's
-        self.actions: Any = memoryview(model._next_actions)  # type: ignore[arg-type]
+        self.actions: Any = memoryview(model._next_actions)
 
     def take_choices(self) -> None:
         """Fetch the machine code for the model's algorithm and method, which may change between two steps."""
@@ -158,7 +158,9 @@ class StepRollout:
         self.dones, self.infos = [transition[5] for transition in state.transitions], state.infos
         self.new_obs = self.model._last_obs
 
-    def show(self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
+    def show(
+        self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]
+    ) -> None:
         """Put what a step gave among the variables that callbacks see."""
         step_locals = self.step_locals
         step_locals["actions"], step_locals["new_obs"] = actions, new_obs
@@ -256,4 +258,3 @@ class StepRollout:
             f"Rewards must be finite, but at step {self.model.num_timesteps} environment {i} gave {reward} for action "
             f"{self.actions[i] + self.first_action} in state {self.states[i]}: please check its reward."
         )
-
