@@ -19,7 +19,7 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
-from sb3_adaptive_q.action_masks import ALLOWED, mask_arrays, note_mask
+from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.logs import record_logs
@@ -131,6 +131,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         :param arrays: of the names, shapes and types of :meth:`working_arrays`
         :raises ValueError: if the update cannot go on with them
         """
+        if self.use_masking:
+            check_mask(arrays[ALLOWED], self.q_table.shape, "the file")
 
     def update_parameters(self) -> tuple[float, ...]:
         """
