@@ -19,7 +19,7 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
-from sb3_adaptive_q.action_masks import ALLOWED, mask_arrays, note_mask
+from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.logs import record_logs
@@ -131,6 +131,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         :param arrays: of the names, shapes and types of :meth:`working_arrays`
         :raises ValueError: if the update cannot go on with them
         """
+        if self.use_masking:
+            check_mask(arrays[ALLOWED], self.q_table.shape, "the file")
 
     def update_parameters(self) -> tuple[float, ...]:
         """
@@ -253,7 +255,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
             )
         if "initial_q" in self.policy_kwargs:
-            raise ValueError(f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`.")
+            raise ValueError(
+                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
+            )
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
@@ -284,9 +288,17 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """
         :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
             of the algorithm, all as machine code takes them
+        :raises ValueError: if a table of the policy was replaced by one of another kind
         """
-        names = ["q_table", *self.extra_tables(*self.q_table.shape)]
-        tables = [getattr(self.policy, name).numpy() for name in names]
+        shape = (self.policy.n_states, self.policy.n_actions)
+        shapes = {"q_table": shape, **self.extra_tables(*shape)}
+        tables = [getattr(self.policy, name).numpy() for name in shapes]
+        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
+            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
+                raise ValueError(
+                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
+                    f"and of shape {table.shape}: please put such a tensor into the policy."
+                )
         return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
