@@ -504,9 +504,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         super().set_env(env, force_reset)
         self._next_actions = None
 
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_learning", "choices", "lr_schedule", "episode_series"]
-
     @staticmethod
     def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
         env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
