@@ -69,10 +69,11 @@ def reused_vec_env(name: str, purpose: str = "", **arguments: Any) -> VecEnv:
     return made[key]
 
 
-def is_compiled(name: str) -> bool:
+def is_compiled(name: str, **arguments: Any) -> bool:
     """
     :param name: of an environment
+    :param arguments: for the environment
     :return: whether runs in it are machine code, which threads can share a process for
     :raises DesignError: if there is no such environment
     """
-    return isinstance(reused_vec_env(name), CompiledVecEnv)
+    return isinstance(reused_vec_env(name, **arguments), CompiledVecEnv)
