@@ -8,18 +8,17 @@ from sb3_adaptive_q.behaviour import Behaviour
 
 #: Where an environment says which actions are allowed, as gymnasium's Taxi does
 ACTION_MASK = "action_mask"
-#: The name of the array of masks among those that an update works with
+#: The buffer of the policy with the mask of every state as it was seen last: 1 for an action that is allowed, 0 for others,
+#: and 1 where the state was not seen
 ALLOWED = "allowed"
 
 
-def mask_arrays(n_states: int, n_actions: int) -> dict[str, np.ndarray]:
+def mask_arrays(n_actions: int) -> dict[str, np.ndarray]:
     """
-    :param n_states: rows of the table
     :param n_actions: columns of the table
-    :return: what the functions of :func:`make_masked` find behind the algorithm's own arrays: the mask of every state, as it
-        was seen last, all ones where it was not; and room for two rows
+    :return: what the functions of :func:`make_masked` work with besides the masks: room for two rows
     """
-    return {ALLOWED: np.ones((n_states, n_actions), dtype=bool), "allowed_rows": np.zeros((2, 1, n_actions))}
+    return {"allowed_rows": np.zeros((2, 1, n_actions))}
 
 
 def note_mask(allowed: np.ndarray, state: int, info: dict[str, Any]) -> None:
@@ -89,35 +88,35 @@ def allowed_action(allowed, state, place):
 
 def show_allowed(tables, state, row):
     """
-    :param tables: of action values first, of shape (n_states, n_actions), the mask in the last place but one
+    :param tables: of action values first, of shape (n_states, n_actions), the masks last
     :param state: the state to act in
     :param row: of shape (n_actions,); set to the values of the actions, minus infinity for those that are not allowed
     """
     for action in range(row.shape[0]):
-        row[action] = tables[0][state, action] if tables[-2][state, action] else -np.inf
+        row[action] = tables[0][state, action] if tables[-1][state, action] else -np.inf
 
 
 def make_masked(behaviour: Behaviour) -> Behaviour:
     """
     :param behaviour: a behaviour policy
-    :return: the same among the actions that are allowed. The last two tables that its functions are given are the mask, of
-        shape (n_states, n_actions), and room for two rows, of shape (2, 1, n_actions)
+    :return: the same among the actions that are allowed. The last two tables that its functions are given are room for
+        two rows, of shape (2, 1, n_actions), and the masks, of shape (n_states, n_actions)
     """
     choose, expect, best, _ = behaviour
 
     def choose_allowed(tables, state, epsilon, draws):
-        allowed, row = tables[-2], tables[-1][0]
+        allowed, row = tables[-1], tables[-2][0]
         n_allowed = gather(tables[0], allowed, state, row)
         return allowed_action(allowed, state, choose((row[:, :n_allowed],), 0, epsilon, draws))
 
     def expect_allowed(tables, values, state, epsilon):
-        allowed, row, other = tables[-2], tables[-1][0], tables[-1][1]
+        allowed, row, other = tables[-1], tables[-2][0], tables[-2][1]
         n_allowed = gather(tables[0], allowed, state, row)
         gather(values, allowed, state, other)
         return expect((row[:, :n_allowed],), other[:, :n_allowed], 0, epsilon)
 
     def best_allowed(tables, values, state):
-        allowed, row = tables[-2], tables[-1][0]
+        allowed, row = tables[-1], tables[-2][0]
         n_allowed = gather(values, allowed, state, row)
         place, value = best((row[:, :n_allowed],), row[:, :n_allowed], 0)
         return allowed_action(allowed, state, place), value

@@ -84,7 +84,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     :param device: ``"auto"`` and ``"cpu"`` mean the CPU: the table is worked on in place there
     :param _init_setup_model: whether to build the table now
     :param use_masking: whether to keep to the actions that ``info["action_mask"]`` of every reset and step allows, in
-        behaviour and targets. A mask must be a function of the state. Compiled environments give none
+        behaviour and targets. A mask must be a function of the state. Compiled environments give none. :meth:`predict`
+        keeps to the masks that were seen
     :raises ValueError: if an argument lies outside its range, or the environment's spaces are not supported
     """
 
@@ -131,8 +132,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         :param arrays: of the names, shapes and types of :meth:`working_arrays`
         :raises ValueError: if the update cannot go on with them
         """
-        if self.use_masking:
-            check_mask(arrays[ALLOWED], self.q_table.shape, "the file")
 
     def update_parameters(self) -> tuple[float, ...]:
         """
@@ -221,6 +220,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self.observation_space, self.action_space, self.lr_schedule, initial_q=self.initial_q, **self.policy_kwargs
         ).to(self.device)
         self.policy.declare(self.extra_tables(self.policy.n_states, self.policy.n_actions), self.initial_q)
+        if self.use_masking:
+            self.policy.declare({ALLOWED: (self.policy.n_states, self.policy.n_actions)}, 1.0)
         self._share_mu()
         self._learning: weakref.ref[_Training] | None = None
         #: For each environment, the values that its last action was chosen from
@@ -299,7 +300,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                     f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
                     f"and of shape {table.shape}: please put such a tensor into the policy."
                 )
-        return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
+        masks = (self._masks(),) if self.use_masking else ()
+        return (*tables, *self._working.values(), *masks), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
         self: SelfTabularAlgorithm,
@@ -404,7 +406,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         if restart and self.use_masking:
             states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
             for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
-                note_mask(self._working[ALLOWED], state, info)
+                note_mask(self._masks(), state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
         record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
@@ -422,15 +424,29 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self._update_parameters = tuple(map(float, self.update_parameters()))
         working = self.new_working_arrays()
         if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
-            # The masks belong to the states
-            self._working = working | {name: array for name, array in self._working.items() if name == ALLOWED}
+            self._working = working
+        self.check_masks()
+
+    def check_masks(self) -> None:
+        """
+        Check action masks that were read from a file or set by hand.
+
+        :raises ValueError: if the mask of a state forbids every action
+        """
+        if self.use_masking:
+            masks = self._masks()
+            for state in np.flatnonzero(~masks.any(axis=1)):
+                check_mask(masks[state], masks.shape[1:], f"state {state}")
 
     def new_working_arrays(self) -> dict[str, np.ndarray]:
         """
-        :return: the arrays that the update works with in the course of episodes, and those for action masks, as they begin
+        :return: the arrays that the update works with in the course of episodes, and room for action masks, as they begin
         """
         shape = self.q_table.shape
-        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(*shape) if self.use_masking else {})
+        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(shape[1]) if self.use_masking else {})
+
+    def _masks(self) -> np.ndarray:
+        return getattr(self.policy, ALLOWED).numpy()
 
     def was_exploratory(self) -> np.ndarray:
         """
@@ -484,7 +500,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         :param episode_start: unused
         :param deterministic: whether to leave exploration out
         :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
-            ``None`` allows all
+            ``None`` for those that were seen with ``use_masking``, and else for all
         :return: the action, a scalar for one observation, or the batch of actions; and ``state``
         :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
         """

@@ -168,6 +168,7 @@ class SavedAsData:
             model._predict_generator.bit_generator.state = saved.generator
         _check_names_and_shapes(model.policy.state_dict(), buffers, is_complete=not is_method_replaced, is_file=True)
         model.policy.load_state_dict({name: th.from_numpy(array) for name, array in buffers.items()}, strict=False)
+        model.check_masks()
         model.training.restore(training)
         if model._last_obs is not None:
             self._restore_next_step(saved, is_changed=bool(changes))

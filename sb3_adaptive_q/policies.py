@@ -12,7 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from sb3_adaptive_q.action_masks import check_mask
+from sb3_adaptive_q.action_masks import ALLOWED, check_mask
 from sb3_adaptive_q.state_index import StateIndex
 
 #: What the names of the buffers of a step size begin with
@@ -37,6 +37,7 @@ class TabularQPolicy(BasePolicy):
     - ``mu``, of shape (1,): the scalar step size of the next update
     - what the algorithm declares, such as ``q_tables`` of Double Q-learning
     - ``memory_<name>`` for each array of the step size
+    - ``allowed``, where actions are masked: 1 for those that are allowed in a state, as it was seen last, and 0 for the others
 
     :param observation_space: Discrete, MultiDiscrete, MultiBinary, or a Tuple or Dict of these
     :param action_space: Discrete
@@ -119,7 +120,7 @@ class TabularQPolicy(BasePolicy):
         :param episode_start: unused
         :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds exploration
         :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
-            ``None`` allows all
+            ``None`` for those of the buffer ``allowed``, and without it for all
         :param choose: gives actions, counted from 0, by rows of action values; those of forbidden actions are minus infinity
         :return: the action or the batch of actions, and ``state``
         :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
@@ -135,10 +136,13 @@ class TabularQPolicy(BasePolicy):
     def _actions(
         self, observations: np.ndarray, action_masks: np.ndarray | None, choose: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        rows = self.q_table.numpy()[self.state_index.of_batch(observations)]
+        states = self.state_index.of_batch(observations)
+        rows = self.q_table.numpy()[states]
         if action_masks is not None:
             masks = np.asarray(action_masks).reshape(-1, self.n_actions)
             rows = np.where(check_mask(masks, rows.shape, "`predict`"), rows, -np.inf)
+        elif ALLOWED in self._buffers:
+            rows = np.where(getattr(self, ALLOWED).numpy()[states] > 0.0, rows, -np.inf)
         return choose(rows) + int(self.action_space.start)  # type: ignore[attr-defined]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from gymnasium.wrappers import TimeLimit
 from scipy import stats
 from scipy.special import softmax
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.env_util import make_vec_env
 
 from sb3_adaptive_q import (
@@ -58,7 +59,7 @@ class TestPolicies:
     rate = 0.4
 
     def tables(self, mask: str) -> tuple[np.ndarray, ...]:
-        return TABLE, MASKS[mask], np.zeros((2, 1, 4))
+        return TABLE, np.zeros((2, 1, 4)), MASKS[mask]
 
     def expected(self, name: tuple[str, str], mask: str, state: int) -> np.ndarray:
         allowed = MASKS[mask][state]
@@ -288,6 +289,20 @@ class TestMasks:
             assert reward in (-1, 20)
             if terminated or truncated:
                 observation, info = env.reset()
+
+    def test_what_was_seen_is_kept_and_saved(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+        """The greedy policy then needs no masks: it would take forbidden actions, whose values are those of the start."""
+        in_python(monkeypatch)
+        model = TabularQ("MlpPolicy", make_masked_env(), use_masking=True, initial_q=START, seed=0)
+        model.learn(300, log_interval=None)
+        model.save(tmp_path / "model")
+        for each in (model, TabularQ.load(tmp_path / "model")):
+            np.testing.assert_array_equal(each.policy.allowed.numpy()[:7], START[:7] == 0.0)
+            for deterministic in (True, False):
+                actions, _ = each.predict(np.arange(7), deterministic=deterministic)
+                assert (START[np.arange(7), actions] == 0.0).all()
+        mean, _ = evaluate_policy(model, make_masked_env(), n_eval_episodes=5)
+        assert mean > 0.0
 
     def test_a_callback_may_stop_in_the_middle_of_an_episode(self, monkeypatch: pytest.MonkeyPatch) -> None:
         in_python(monkeypatch)

@@ -476,7 +476,7 @@ class TestRollouts:
         folder = path.parent
         TabularQ("MlpPolicy", "Taxi-v4", use_masking=True).learn(60, callback=CheckpointCallback(50, folder, "x"))
         path = folder / "x_50_steps.zip"
-        forge_arrays(path, prefix="working.", allowed=np.zeros((500, 6), dtype=bool))
+        forge_arrays(path, allowed=np.zeros((500, 6)))
         refuse(path, "forbids every action", lambda path: TabularQ.resume(path, "Taxi-v4"))
 
     def test_other_environments(self, path):

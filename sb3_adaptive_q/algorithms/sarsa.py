@@ -34,8 +34,9 @@ class SARSA(TabularAlgorithm):
     next.
 
     The agent draws, before each update, what its next action takes; at a truncation the action is drawn too, but not taken.
-    At the end of an episode it draws, after the update, what the first action of the next one takes. For the parameters see
-    :class:`sb3_adaptive_q.TabularAlgorithm`.
+    At the end of an episode it draws, after the update, what the first action of the next one takes. A method that looks at
+    the next value with ``next_action="next"`` sees Q(s', a') of the target itself; ``"same"`` and ``"max"`` are read from the
+    same table, before the update. For the parameters see :class:`sb3_adaptive_q.TabularAlgorithm`.
     """
 
     update = staticmethod(sarsa)

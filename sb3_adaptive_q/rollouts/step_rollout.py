@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_adaptive_q.action_masks import ALLOWED, note_mask
+from sb3_adaptive_q.action_masks import note_mask
 from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, machine_code
@@ -100,7 +100,7 @@ class StepRollout:
         self.infos, self.dones = infos, dones.tolist()
         self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
         if self.model.use_masking:
-            self._note_masks(self.model._working[ALLOWED])
+            self._note_masks(self.model.policy.allowed.numpy())
         if True in self.dones:
             self._hand_over_episodes()
         self.show(actions, new_obs, rewards, dones, infos)
