@@ -99,8 +99,8 @@ def test_wheel_holds_the_package_data(wheel: zipfile.ZipFile) -> None:
     }
     data |= {
         path.relative_to(PROJECT).as_posix()
-        for pattern in ("*.csv", "*.json")
-        for path in (PROJECT / "sb3_adaptive_q" / "study").rglob(pattern)
+        for pattern in ("*.csv", "*.css", "*.js", "*.yml")
+        for path in (PROJECT / "sb3_adaptive_q" / "experiments").rglob(pattern)
     }
     assert data <= set(wheel.namelist())
 
