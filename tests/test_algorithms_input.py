@@ -54,7 +54,7 @@ def test_an_attribute_that_is_set_later(name: str, attribute: str, value: Any) -
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("sarsa_lambda", r"places: shape \(1, 16, 4\).*larger `trace_threshold`"), ("n_step", "use a smaller `n`")],
+    [("sarsa_lambda", r"`places` of shape \(1, 16, 4\).*larger `trace_threshold`"), ("n_step", "use a smaller `n`")],
 )
 def test_more_than_the_memory_holds(name: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     model = ALGORITHMS[name]("MlpPolicy", "FrozenLake-v1")
