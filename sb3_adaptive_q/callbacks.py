@@ -402,9 +402,12 @@ def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
 
 
 def _knows_rollouts(callback: BaseCallback) -> bool:
-    library = type(callback).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "rl_zoo3")
-    is_function = isinstance(callback, ConvertCallback) and callback.callback is not None
-    return (library and not is_function) or getattr(callback, "knows_rollouts", False)
+    called: Any = type(callback)
+    if isinstance(callback, ConvertCallback) and callback.callback is not None:
+        called = callback.callback  # the library wraps functions of its own as well, such as that of LogEveryNTimesteps
+    module = getattr(called, "__module__", None) or ""
+    library = module.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "rl_zoo3")
+    return library or getattr(callback, "knows_rollouts", False)
 
 
 def _is_method_number(number: Any) -> bool:

@@ -484,7 +484,8 @@ class TestRulesOfAUser:
 
     @pytest.mark.parametrize("parameters", [{}, {"most": 1.0}, {"least": 0.0, "most": 1.0}])
     def test_parameters_must_be_the_rules(self, parameters):
-        with pytest.raises(ValueError, match=r"`rule` of .*Halving takes \(least\) after `mu` and `step`"):
+        came = rf"the parameters are \({', '.join(parameters)}\)"
+        with pytest.raises(ValueError, match=rf"`rule` of .*Halving takes \(least\) after `mu` and `step`.*{came}.*agree"):
             Halving(mu_0=1.0, **parameters)
 
     def test_only_one_of_them(self):

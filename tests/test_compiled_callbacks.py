@@ -361,6 +361,26 @@ class TestCallbacksOfAUser:
         make_model(LAKE, True, n_envs=n_envs).learn(1_300_000, callback=watch, log_interval=None)
         assert [np.size(seen["dones"]) for seen in watch.seen] == [1_000_000, 300_000]
 
+    @pytest.mark.parametrize(("callback", "name"), [(Watch(), "Watch"), (lambda found, everywhere: True, "ConvertCallback")])
+    def test_one_that_may_not_know_is_warned_of(self, callback, name):
+        with pytest.warns(UserWarning, match=f"{name} is called once for many steps") as warned:
+            make_model(LAKE, True).learn(1_000, callback=callback, log_interval=None)
+        assert len(warned) == 1
+
+    @pytest.mark.parametrize("callback", [LogEveryNTimesteps(400), StopTrainingOnMaxEpisodes(10**6)])
+    def test_those_of_the_library_are_not_warned_of(self, callback):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            make_model(LAKE, True).learn(1_000, callback=callback, log_interval=None)
+
+    def test_one_that_says_it_knows_is_not_warned_of(self):
+        class Knowing(Watch):
+            knows_rollouts = True
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            make_model(LAKE, True).learn(1_000, callback=[Knowing(), method(7)], log_interval=None)
+
     def test_events(self):
         events = []
 
@@ -570,4 +590,4 @@ class TestWhereTheEnvironmentIsAfterwards:
 def test_tensorboard_files_are_written(tmp_path):
     model = make_model(LAKE, True, tensorboard_log=str(tmp_path), **MODEL)
     model.learn(20_000, callback=LogEveryNTimesteps(5_000))
-    assert list(tmp_path.glob("TabularQ*_1/events.out.tfevents.*"))
+    assert list(tmp_path.glob("TabularQ_method7_1/events.out.tfevents.*"))

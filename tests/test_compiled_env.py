@@ -453,7 +453,7 @@ ROAD = {"n_edges": [12, 8]}
 
 def mountain_car(kind, n_envs=1, **arguments):
     env = make_vec_env("MountainCar-v0", n_envs, wrapper_class=DiscretizeObservation, wrapper_kwargs=ROAD, vec_env_cls=kind)
-    return TabularQ("MlpPolicy", env, seed=0, gamma=1.0, learning_rate=0.2, **arguments)
+    return TabularQ("MlpPolicy", env, **{"seed": 0, "gamma": 1.0, "learning_rate": 0.2, **arguments})
 
 
 class TestEnvironmentOfAUser:
@@ -464,9 +464,10 @@ class TestEnvironmentOfAUser:
         assert_same(compiled_, ordinary)
 
     def test_it_learns_to_reach_the_top(self):
-        model = mountain_car(CompiledVecEnv).learn(3_000_000, log_interval=None)
+        """With a constant step size of 0.2, the last policy is so noisy that half of the seeds never arrive (-200)."""
+        model = mountain_car(CompiledVecEnv, learning_rate=lambda left: 0.2 * left).learn(3_000_000, log_interval=None)
         ordinary = mountain_car(LeanVecEnv).env
-        assert evaluate_policy(model, ordinary, n_eval_episodes=20)[0] > -195.0  # -200 for a car that never arrives
+        assert evaluate_policy(model, ordinary, n_eval_episodes=20)[0] > -180.0
 
     def test_its_own_refusals_are_heard(self):
         with refused("DiscretizeObservation"):
