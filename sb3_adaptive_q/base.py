@@ -255,7 +255,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
             )
         if "initial_q" in self.policy_kwargs:
-            raise ValueError(f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`.")
+            raise ValueError(
+                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
+            )
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
@@ -286,9 +288,17 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """
         :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
             of the algorithm, all as machine code takes them
+        :raises ValueError: if a table of the policy was replaced by one of another kind
         """
-        names = ["q_table", *self.extra_tables(*self.q_table.shape)]
-        tables = [getattr(self.policy, name).numpy() for name in names]
+        shape = (self.policy.n_states, self.policy.n_actions)
+        shapes = {"q_table": shape, **self.extra_tables(*shape)}
+        tables = [getattr(self.policy, name).numpy() for name in shapes]
+        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
+            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
+                raise ValueError(
+                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
+                    f"and of shape {table.shape}: please put such a tensor into the policy."
+                )
         return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
@@ -457,6 +467,24 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """Write the means over the last episodes, and over the updates since the last time, to the log."""
         record_logs(self)
         self._last_dump = self._episode_num
+
+    def to_frame(self) -> Any:
+        """
+        :return: the table, its greedy actions and the memory of the step size as a pandas DataFrame, a row for each state
+        :raises ModuleNotFoundError: if what it needs is not installed: the extra ``plots``
+        """
+        from sb3_adaptive_q.plots import to_frame
+
+        return to_frame(self)
+
+    def __repr__(self) -> str:
+        if not hasattr(self, "policy"):
+            return f"{type(self).__name__} without a table"
+        method = "learning_rate" if self._method is None else self._method.data.label
+        return (
+            f"{type(self).__name__}({method}, {self.policy.n_states} states, {self.policy.n_actions} actions, "
+            f"{self.num_timesteps} steps learned)"
+        )
 
     def predict(
         self,

@@ -283,7 +283,9 @@ class TestRewards:
     @pytest.mark.parametrize("reward", [np.nan, np.inf, -np.inf])
     def test_the_step_and_the_state_are_named_and_the_table_stays(self, reward):
         script = [Episode(0, [Step(1.0, 1), Step(1.0, 2), Step(reward, 3)])]
-        model = TabularQ("MlpPolicy", ScriptedEnv(script), learning_rate=0.5, gamma=0.0, exploration_initial_eps=0.0, ties="first")
+        model = TabularQ(
+            "MlpPolicy", ScriptedEnv(script), ties="first", learning_rate=0.5, gamma=0.0, exploration_initial_eps=0
+        )
         model.exploration_final_eps = 0.0
         with refused("Rewards must be finite", "step 3", f"gave {reward}", "action 0", "state 2", "check"):
             model.learn(10)
@@ -293,7 +295,13 @@ class TestRewards:
     def test_no_environment_of_the_step_is_learned_from(self):
         good = ScriptedEnv([Episode(0, [Step(1.0, 1), Step(1.0, 2)])])
         bad = ScriptedEnv([Episode(3, [Step(1.0, 1), Step(np.nan, 2)])])
-        arguments = {"ties": "first", "learning_rate": 0.5, "gamma": 0.0, "exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+        arguments = {
+            "ties": "first",
+            "learning_rate": 0.5,
+            "gamma": 0.0,
+            "exploration_initial_eps": 0.0,
+            "exploration_final_eps": 0.0,
+        }
         model = TabularQ("MlpPolicy", DummyVecEnv([lambda: good, lambda: bad]), **arguments)
         with refused("step 4", "environment 1", "nan", "state 1"):
             model.learn(10)
@@ -316,7 +324,9 @@ class TestRewards:
 class TestObservations:
     def test_of_an_environment_that_breaks_its_word(self):
         script = [Episode(0, [Step(1.0, 1), Step(1.0, 9)])]
-        model = TabularQ("MlpPolicy", ScriptedEnv(script), learning_rate=0.5, gamma=0.0, exploration_initial_eps=0.0, ties="first")
+        model = TabularQ(
+            "MlpPolicy", ScriptedEnv(script), ties="first", learning_rate=0.5, gamma=0.0, exploration_initial_eps=0
+        )
         recorder = Recorder()
         with refused("observation 9", "outside the observation space Discrete(4)", "check"):
             model.learn(10, callback=recorder)

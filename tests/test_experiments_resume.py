@@ -19,8 +19,8 @@ import pytest
 import yaml
 
 import sb3_adaptive_q
-from sb3_adaptive_q import experiments
-from sb3_adaptive_q.experiments import Execution, ExperimentError, storage, versions
+from sb3_adaptive_q import atomic, experiments
+from sb3_adaptive_q.experiments import Execution, ExperimentError, versions
 from sb3_adaptive_q.experiments.paper import figures
 from sb3_adaptive_q.experiments.paper.command import main
 from sb3_adaptive_q.experiments.paper.settings import StudySettings
@@ -102,7 +102,7 @@ def test_killed_study_goes_on_with_the_missing_cells_only(
     stored = {path: path.stat().st_mtime_ns for path in cell_files(folder)}
     assert 4 <= len(stored) < 24
     # As a kill in the middle of a write would have left it
-    (folder / "cells" / f".0.parquet.{process.pid}.tmp").write_bytes(b"half")
+    (folder / "cells" / f".0.parquet.{process.pid}.1.tmp").write_bytes(b"half")
 
     assert run_to_the_end(SETTINGS, folder) == uninterrupted
     assert {path: path.stat().st_mtime_ns for path in stored} == stored
@@ -232,7 +232,7 @@ def test_full_disk_ends_the_study_with_whole_files_only(
         move(source, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(storage.os, "replace", fail_from_the_third_on)
+        patch.setattr(atomic.os, "replace", fail_from_the_third_on)
         assert main([*SMALL_OPTIONS, "--output", str(folder)]) == 1
     assert "No space left on device" in capsys.readouterr().err
     assert len(cell_files(folder)) == 1 and leftovers(folder) == []
@@ -255,7 +255,7 @@ def test_file_too_large_for_the_system_leaves_the_old_one(tmp_path: Path) -> Non
 def test_temporary_file_of_a_running_process_is_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "study"
     run_to_the_end(SMALL, folder)
-    other = folder / "cells" / f".run-00009.parquet.{os.getppid()}.tmp"
+    other = folder / "cells" / f".0.parquet.{os.getppid()}.1.tmp"
     other.write_bytes(b"being written")
     run_to_the_end(SMALL, folder)
     assert leftovers(folder) == [other]

@@ -142,7 +142,8 @@ def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one
             progress = min(now.num_timesteps / max(fixed.total_timesteps, 1), 1.0)
             if fixed.holds_epsilon == 0:
                 epsilon = explore(fixed, progress)
-        agent = Agent(fixed.gamma, epsilon, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
+        rate = epsilon if epsilon >= 0.0 else now.epsilon  # one that is refused below must not enter the tables
+        agent = Agent(fixed.gamma, rate, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
         action, step = update(tables, agent, size, choose, expect, best, memory, draws, t)
         if t.done:
             n_episodes += 1

@@ -61,7 +61,7 @@ class Design:
 
     environments: Sequence[str]
     methods: Sequence[Choice | str | int]
-    algorithms: Sequence[str] = ("q_learning",)
+    algorithms: Sequence[str] = ("tabular_q",)
     settings: Mapping[str, Any] = field(default_factory=dict)
     runs: int = 20
     seed: int = 0

@@ -47,17 +47,18 @@ def _make_known(name: str, arguments: dict[str, Any]) -> gym.Env:
         raise DesignError(f"The environment {name!r} cannot be made: {error}") from error
 
 
-def reused_vec_env(name: str, **arguments: Any) -> VecEnv:
+def reused_vec_env(name: str, purpose: str = "", **arguments: Any) -> VecEnv:
     """
     An environment that is made once in every thread, because most of a short run would be spent on it.
 
     :param name: of an environment
+    :param purpose: one that is not in use for another purpose
     :param arguments: for the environment
     :return: it, compiled where it compiles; to be seeded and reset, and then nothing is left in it of its earlier uses
     :raises DesignError: if there is no such environment
     """
     made: dict[str, VecEnv] = _of_thread.__dict__
-    key = f"{name} {sorted(arguments.items())}"
+    key = f"{name} {purpose} {sorted(arguments.items())}"
     if key not in made:
         try:
             made[key] = make_vec_env(lambda: make_env(name, **arguments), vec_env_cls=CompiledVecEnv)
@@ -68,10 +69,11 @@ def reused_vec_env(name: str, **arguments: Any) -> VecEnv:
     return made[key]
 
 
-def is_compiled(name: str) -> bool:
+def is_compiled(name: str, **arguments: Any) -> bool:
     """
     :param name: of an environment
+    :param arguments: for the environment
     :return: whether runs in it are machine code, which threads can share a process for
     :raises DesignError: if there is no such environment
     """
-    return isinstance(reused_vec_env(name), CompiledVecEnv)
+    return isinstance(reused_vec_env(name, **arguments), CompiledVecEnv)

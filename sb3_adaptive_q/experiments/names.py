@@ -9,20 +9,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import sb3_adaptive_q
-from sb3_adaptive_q import METHODS, LearningRateCallback, method
+from sb3_adaptive_q import ALGORITHMS, METHODS, STEP_SIZES, LearningRateCallback, method
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
 
-#: Algorithms by their names in a design, and by the names of their classes in the package
-ALGORITHMS = {
-    "q_learning": "TabularQ",
-    "sarsa": "SARSA",
-    "expected_sarsa": "ExpectedSARSA",
-    "double_q": "DoubleQ",
-    "sarsa_lambda": "SARSALambda",
-    "q_lambda": "QLambda",
-    "n_step": "NStep",
-}
 IMPORT_PATH = "Something of your own is given as `module:name`."
 
 
@@ -62,17 +51,16 @@ def algorithm_class(name: str) -> type[Any]:
         if not (isinstance(found, type) and hasattr(found, "learn")):
             raise DesignError(f"{name} must be the class of an algorithm, like sb3_adaptive_q.TabularQ, but is {found!r}.")
         return found
-    available = {each: vars(sb3_adaptive_q)[known] for each, known in ALGORITHMS.items() if known in vars(sb3_adaptive_q)}
-    if name not in available:
-        raise unknown_name("algorithm", name, available, IMPORT_PATH)
-    return available[name]
+    if name not in ALGORITHMS:
+        raise unknown_name("algorithm", name, ALGORITHMS, IMPORT_PATH)
+    return ALGORITHMS[name]
 
 
 def method_names() -> list[str]:
     """
     :return: the numbers of the paper's methods, and the names of the other step sizes
     """
-    return [*map(str, METHODS), *getattr(sb3_adaptive_q, "STEP_SIZES", {})]
+    return [*map(str, METHODS), *STEP_SIZES]
 
 
 def make_method(name: str, parameters: dict[str, Any]) -> LearningRateCallback:
@@ -109,7 +97,7 @@ def method_parameters(name: str) -> set[str]:
         raise unknown_name("method", name, method_names(), IMPORT_PATH)
     if name.isdecimal():
         return set(inspect.signature(METHODS[int(name)].callback).parameters)
-    return {*sb3_adaptive_q.STEP_SIZES[name].parameters, "scope", "lower", "upper"}
+    return {*STEP_SIZES[name].parameters, "scope", "lower", "upper"}
 
 
 def method_label(name: str) -> str:

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import yaml
 from tqdm import tqdm
 
+from sb3_adaptive_q.atomic import written_whole
 from sb3_adaptive_q.experiments.cells import COLUMNS, RECIPE, Cell, columns_digest
 from sb3_adaptive_q.experiments.design import read_yaml
 from sb3_adaptive_q.experiments.errors import DesignError, ExperimentError
@@ -25,24 +26,21 @@ STRICT = ("sb3_adaptive_q", "source")
 
 def write_atomically(path: Path, content: bytes) -> None:
     """
-    Write a file so that a process which is killed meanwhile leaves it whole or as it was before.
+    Write a file so that at every moment it is there whole or as it was before.
 
     :param path: where; missing folders are made
     :param content: what
     :raises ExperimentError: if it cannot be written; nothing of it is left then
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
+        with written_whole(path) as file:
+            file.write(content)
     except OSError as error:
         raise ExperimentError(
             f"Cannot write to {path.parent}: {error.strerror or error}. What was stored before is whole: make room or choose "
             "another output folder, and start again to go on."
         ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def warn_user(text: str) -> None:
@@ -167,7 +165,7 @@ class ResultFolder:
     def _remove_leftovers(self) -> None:
         """Remove what was being written when an experiment in this folder was killed."""
         for path in self.path.rglob(".*.tmp"):
-            owner = path.name.split(".")[-2]
+            owner = path.name.split(".")[-3]
             if owner.isdecimal() and (int(owner) == os.getpid() or not psutil.pid_exists(int(owner))):
                 path.unlink(missing_ok=True)
 

@@ -53,8 +53,6 @@ class StepRollout:
         self.learner, self.draws = model.training.record, model.training.draws
         self.state_index = model.policy.state_index
         self._state_of = self.state_index.of
-        if model.considered.shape[0] != self.n_envs:
-            model.considered = np.zeros((self.n_envs, model.policy.n_actions))
         self.considered = model.considered
         self.first_action = int(model.action_space.start)
         self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]

@@ -95,7 +95,7 @@ class StudySettings:
 
     systems: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--env"])] = (FROZEN_LAKE, CART_POLE)
     methods: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--method"])] = tuple(map(str, METHODS))
-    algorithms: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--algorithm"])] = ("q_learning",)
+    algorithms: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--algorithm"])] = ("tabular_q",)
     runs: int = 20
     episodes: int = 30_000
     seed: int = 0
