@@ -62,8 +62,10 @@ def encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     """
     if value is None or isinstance(value, bool | int | str):
         return value
-    if isinstance(value, np.bool_ | np.integer | np.floating | float):
-        return _encode_number(value.item() if isinstance(value, np.generic) else value)
+    if isinstance(value, np.bool_ | np.integer):
+        return value.item()
+    if isinstance(value, np.floating | float):
+        return _encode_number(float(value))
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, spaces.Space):
@@ -73,10 +75,8 @@ def encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     return _encode_container(value, arrays)
 
 
-def _encode_number(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return {KIND: "float", "value": repr(value)}
-    return value
+def _encode_number(value: float) -> Any:
+    return value if math.isfinite(value) else {KIND: "float", "value": repr(value)}
 
 
 def _encode_array(value: np.ndarray, arrays: dict[str, np.ndarray]) -> Any:

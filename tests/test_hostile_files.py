@@ -22,7 +22,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import CheckpointCallback
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, SARSALambda, TabularQ
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, SARSALambda, TabularQ, model_archive
 from sb3_adaptive_q.saved_values import decode_schedule, find_class, find_function
 
 LAKE = "FrozenLake-v1"
@@ -322,6 +322,12 @@ class TestBombs:
         forge(path, lambda data: data["attributes"].update(observation_space={":kind:": "space", **space}))
         refuse(path, "no file of a model of this package|cannot be loaded")
 
+    def test_more_plain_data_than_a_model_has(self, path, monkeypatch):
+        monkeypatch.setattr(model_archive, "MOST_DATA", 1000)
+        refuse(path, "it has more than 1000 bytes of plain data")
+        with pytest.raises(ValueError, match=r"bytes of plain data, and a file may have 1000: `exclude` some"):
+            TabularQ("MlpPolicy", LAKE).save(path)
+
     def test_nested_without_end(self, path):
         members = members_of(path)
         write(path, {**members, "data": b"[" * 10**6})
@@ -471,6 +477,12 @@ class TestRollouts:
             array = dict(np.load(io.BytesIO(members_of(path)["arrays.npz"])))[f"working.{name}"]
             forge_arrays(path, prefix="working.", **{name: np.full_like(array, value)})
             refuse(path, "cannot be loaded", lambda path: SARSALambda.resume(path, LAKE))
+
+    @pytest.mark.parametrize("shape", [(1, 16, 3), (2, 16, 4), (0,)])
+    def test_arrays_of_the_algorithm_of_another_shape(self, path, shape):
+        SARSALambda("MlpPolicy", LAKE, seed=0, method=7).learn(100).save(path)
+        forge_arrays(path, prefix="working.", places=np.zeros(shape, np.int64))
+        refuse(path, "the arrays that SARSALambda works with are not those of its table|this table", SARSALambda.load)
 
     def test_masks_that_forbid_everything(self, path):
         folder = path.parent

@@ -362,6 +362,8 @@ class TestEnvironmentState:
             lambda: gym.make("Blackjack-v1"),
             lambda: gym.make("CartPole-v1"),
             lambda: gym.make("CartPoleFriction-v0"),
+            lambda: gym.make("BlockingMaze-v0", max_episode_steps=50),
+            lambda: gym.make("DriftingMean-v0", max_episode_steps=50),
             lambda: gym.make("MountainCar-v0", max_episode_steps=60),
             lambda: gym.make("Acrobot-v1", max_episode_steps=60),
             lambda: gym.make("Pendulum-v1", max_episode_steps=60),
