@@ -19,7 +19,7 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
-from sb3_adaptive_q.action_masks import ALLOWED, mask_arrays, note_mask
+from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.logs import record_logs
@@ -131,6 +131,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         :param arrays: of the names, shapes and types of :meth:`working_arrays`
         :raises ValueError: if the update cannot go on with them
         """
+        if self.use_masking:
+            check_mask(arrays[ALLOWED], self.q_table.shape, "the file")
 
     def update_parameters(self) -> tuple[float, ...]:
         """
@@ -253,7 +255,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
             )
         if "initial_q" in self.policy_kwargs:
-            raise ValueError("`initial_q` is an argument of the algorithm itself: please take it out of `policy_kwargs`.")
+            raise ValueError(
+                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
+            )
         for name in ("total_episodes", "callback_interval"):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
@@ -273,8 +277,8 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         values = np.asarray(values, dtype=np.float64)
         if values.shape != self.q_table.shape or not np.isfinite(values).all():
             raise ValueError(
-                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape {values.shape}"
-                f"{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
+                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape "
+                f"{values.shape}{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
             )
         self.q_table[:] = values
         for name in self.extra_tables(*values.shape):
@@ -282,11 +286,19 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
 
     def learning_arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[Any, ...]]:
         """
-        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters of
-            the algorithm, all as machine code takes them
+        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
+            of the algorithm, all as machine code takes them
+        :raises ValueError: if a table of the policy was replaced by one of another kind
         """
-        names = ["q_table", *self.extra_tables(*self.q_table.shape)]
-        tables = [getattr(self.policy, name).numpy() for name in names]
+        shape = (self.policy.n_states, self.policy.n_actions)
+        shapes = {"q_table": shape, **self.extra_tables(*shape)}
+        tables = [getattr(self.policy, name).numpy() for name in shapes]
+        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
+            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
+                raise ValueError(
+                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
+                    f"and of shape {table.shape}: please put such a tensor into the policy."
+                )
         return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
@@ -351,7 +363,9 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         training = _Training()
         with _SETTING_UP:
             if self._learning is not None and self._learning() is not None:
-                raise RuntimeError("This model is learning already: a callback or another thread cannot let it learn once more.")
+                raise RuntimeError(
+                    "This model is learning already: a callback or another thread cannot let it learn once more."
+                )
             self._learning = weakref.ref(training)
         return training
 
@@ -453,6 +467,24 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """Write the means over the last episodes, and over the updates since the last time, to the log."""
         record_logs(self)
         self._last_dump = self._episode_num
+
+    def to_frame(self) -> Any:
+        """
+        :return: the table, its greedy actions and the memory of the step size as a pandas DataFrame, a row for each state
+        :raises ModuleNotFoundError: if what it needs is not installed: the extra ``plots``
+        """
+        from sb3_adaptive_q.plots import to_frame
+
+        return to_frame(self)
+
+    def __repr__(self) -> str:
+        if not hasattr(self, "policy"):
+            return f"{type(self).__name__} without a table"
+        method = "learning_rate" if self._method is None else self._method.data.label
+        return (
+            f"{type(self).__name__}({method}, {self.policy.n_states} states, {self.policy.n_actions} actions, "
+            f"{self.num_timesteps} steps learned)"
+        )
 
     def predict(
         self,

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EventCallback
 
-from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_step_size
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_finite, check_step_size
 from sb3_adaptive_q.step_sizes import find_step_size, paper, resolve_parameters
 
 
@@ -69,7 +69,6 @@ class LearningRateCallback(BaseCallback):
                 f"{kind.__qualname__} needs the class attribute `step_size`, a function `step_size(mu, step, *parameters, "
                 "*arrays)`, or `rule`, a function `rule(mu, step, *parameters)`."
             )
-        has_bounds = kind.lower is not None and kind.upper is not None
         data = MethodData(
             owner=f"{kind.__module__}:{kind.__qualname__}",
             label=kind.__name__,
@@ -81,7 +80,7 @@ class LearningRateCallback(BaseCallback):
             next_action=next_action,
             reset_each_episode=reset_each_episode,
         )
-        if has_bounds:
+        if kind.lower is not None and kind.upper is not None:
             data = data._replace(bounds=(kind.lower, kind.upper))
         self._install(InstalledMethod(data, (kind.step_size, kind.rule)))
 
@@ -227,6 +226,7 @@ class SignRateCallback(LearningRateCallback):
         reset_each_episode: bool = False,
     ) -> None:
         _check_bounds(lower, upper)
+        check_finite("step", step)
         super().__init__(mu_0, next_action, reset_each_episode, change=step, lower=lower, upper=upper)
 
 
@@ -270,8 +270,8 @@ def method(number: int | str, **parameters: Any) -> LearningRateCallback:
         return StepSizeCallback(number, **parameters)
     if not _is_method_number(number):
         raise ValueError(
-            f"The paper's methods are 1 to 8, and a step size of the literature has a name, but got {number!r}: see "
-            "`sb3_adaptive_q.METHODS` and `sb3_adaptive_q.STEP_SIZES`."
+            f"There are methods 1 to 8, and step sizes with a name, but got {number!r}: see `sb3_adaptive_q.METHODS` and "
+            "`sb3_adaptive_q.STEP_SIZES`."
         )
     make = METHODS[number].callback
     known = list(inspect.signature(make).parameters)
@@ -313,7 +313,7 @@ class EpisodeSeriesCallback(BaseCallback):
 
     def _init_callback(self) -> None:
         self._parts = []
-        self.model.episode_series.append(self)
+        self.model.episode_series.append(self)  # type: ignore[attr-defined]  # of a tabular algorithm
 
     def add(self, episodes: Episodes) -> None:
         """
@@ -359,7 +359,11 @@ def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:
     elif isinstance(callback, CallbackList):
         children = callback.callbacks
     elif isinstance(callback, EventCallback):
-        children = (callback.callback, getattr(callback, "callback_on_new_best", None), getattr(callback, "callback_after_eval", None))
+        children = (
+            callback.callback,
+            getattr(callback, "callback_on_new_best", None),
+            getattr(callback, "callback_after_eval", None),
+        )
     if isinstance(callback, BaseCallback):
         yield callback
     for child in children:
@@ -375,7 +379,7 @@ def check_callback(callback: Any) -> None:
         raise ValueError(f"`callback` must be a callback, a list of callbacks, a function or None, but got {callback!r}.")
     found = [type(each).__name__ for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
     if len(found) > 1:
-        raise ValueError(f"One method can set the step size at a time, but got {', '.join(found)}: pass one of them.")
+        raise ValueError(f"One learning-rate method can be in force at a time, but got {', '.join(found)}: pass one of them.")
 
 
 def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
@@ -390,9 +394,9 @@ def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
     own = [type(each).__name__ for each in iterate_callbacks(callback) if not _knows_rollouts(each)]
     if own:
         warnings.warn(
-            f"On a compiled environment {', '.join(own)} is called once for many steps, and finds the last one only. If it needs "
-            "every step, give the model `callback_interval=1`; EpisodeSeriesCallback keeps every episode. If it does not, say so: "
-            "the class attribute `knows_rollouts = True`, or a `callback_interval` of your choice.",
+            f"On a compiled environment {', '.join(own)} is called once for many steps, and finds the last one only. If it "
+            "needs every step, give the model `callback_interval=1`; EpisodeSeriesCallback keeps every episode. If it does "
+            "not, say so: the class attribute `knows_rollouts = True`, or a `callback_interval` of your choice.",
             stacklevel=4,
         )
 

@@ -64,21 +64,28 @@ def read_environments(env: VecEnv) -> list[dict[str, Any]]:
     return [_read(each) for each in _single_envs(env)]
 
 
-def write_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
+def check_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
     """
-    Put environments where others were. They are reset first, so that they have all that a reset gives them.
-
-    :param env: environments like those that were read
+    :param env: environments
     :param states: what :func:`read_environments` returned
-    :raises ValueError: if the environments are others, or not as many
+    :raises ValueError: if the environments are others than those that were read, or not as many
     """
     envs = _single_envs(env)
     if len(envs) != len(states):
         raise ValueError(f"the training had {len(states)} environments, but got {len(envs)}")
     for each, state in zip(envs, states, strict=True):
         _check_alike(each, state)
+
+
+def write_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
+    """
+    Put environments where others were. They are reset first, so that they have all that a reset gives them.
+
+    :param env: environments that :func:`check_environments` has found to be like those that were read
+    :param states: what :func:`read_environments` returned
+    """
     env.reset()
-    for each, state in zip(envs, states, strict=True):
+    for each, state in zip(_single_envs(env), states, strict=True):
         _write(each, state)
 
 

@@ -1,7 +1,6 @@
 """A method as the model keeps it: plain data, and the functions that it stands for."""
 
 import inspect
-import sys
 from collections.abc import Callable
 from functools import cached_property
 from math import isfinite
@@ -11,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
-from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.step_sizes.cells import COUNTS, MOST_ARRAYS, SCOPES, keep_mu, last_size, make_size, scalar_size
 from sb3_adaptive_q.step_sizes.step import Step, clip_size
 
@@ -48,13 +46,12 @@ class MethodData(NamedTuple):
 class InstalledMethod:
     """
     :param data: the method as data
-    :param functions: (step_size, rule), each of them may be ``None``; ``None`` to look them up by the owner
-    :raises LookupError: if the owner's class is not imported
+    :param functions: (step_size, rule), each of them may be ``None``
     :raises ValueError: if the data do not fit the functions
     """
 
-    def __init__(self, data: MethodData, functions: tuple[Any, Any] | None = None) -> None:
-        self.step_size, self.rule = functions or _functions_of(data.owner)
+    def __init__(self, data: MethodData, functions: tuple[Any, Any]) -> None:
+        self.step_size, self.rule = functions
         _check_data(data)
         self.data = data._replace(parameters=self._in_order(data))
 
@@ -67,14 +64,13 @@ class InstalledMethod:
                 takes = expected[: len(expected) - len(names)]
                 if sorted(takes) != sorted(data.parameters) or expected[len(takes) :] != names:
                     raise ValueError(
-                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters are "
-                        f"({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make them "
-                        "agree, parameters first."
+                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters "
+                        f"are ({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make "
+                        "them agree, parameters first."
                     )
                 data = data._replace(parameters={name: data.parameters[name] for name in takes})
         for name, value in data.parameters.items():
-            if not isinstance(value, Real) or not isfinite(value):
-                raise ValueError(f"`{name}` must be a finite number, for {data.owner}, but got {value!r}.")
+            check_finite(name, value)
         return {name: float(value) for name, value in data.parameters.items()}
 
     @property
@@ -103,7 +99,7 @@ class InstalledMethod:
     def rule_function(self) -> Callable[..., float]:
         """What forms the next scalar μ."""
         if self.rule is not None:
-            return self.rule  # type: ignore[no-any-return]
+            return self.rule
         return last_size if self.step_size is not None else keep_mu
 
     def start(self) -> float:
@@ -145,16 +141,14 @@ def check_step_size(name: str, value: Any) -> None:
         raise ValueError(f"`{name}` must be from 0 to 1, but got {value!r}.")
 
 
-def _functions_of(owner: str) -> tuple[Any, Any]:
-    if owner in STEP_SIZES:
-        return STEP_SIZES[owner].step_size, None
-    module_name, _, name = owner.partition(":")
-    found: Any = sys.modules.get(module_name)
-    for part in name.split("."):
-        found = getattr(found, part, None)
-    if found is None:
-        raise LookupError(owner)
-    return getattr(found, "step_size", None), getattr(found, "rule", None)
+def check_finite(name: str, value: Any) -> None:
+    """
+    :param name: what the value is called
+    :param value: a parameter of a method
+    :raises ValueError: if it is not a finite number
+    """
+    if not isinstance(value, Real) or not isfinite(value):
+        raise ValueError(f"`{name}` must be finite and a number, but got {value!r}.")
 
 
 def _check_data(data: MethodData) -> None:

@@ -4,6 +4,9 @@ import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import ClassVar
+
+from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_adaptive_q.base import TabularAlgorithm
 from sb3_adaptive_q.vec_env import CompiledVecEnv
@@ -37,7 +40,7 @@ def learn_many(
     def learn(model: TabularAlgorithm) -> TabularAlgorithm:
         return model.learn(
             total_timesteps,
-            callback=lambda _locals, _globals: not stop.is_set(),
+            callback=_StopOnRequest(stop),
             log_interval=log_interval,
             reset_num_timesteps=reset_num_timesteps,
         )
@@ -50,6 +53,19 @@ def learn_many(
         raise
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+class _StopOnRequest(BaseCallback):
+    """Ends a training between two rollouts, once asked to."""
+
+    knows_rollouts: ClassVar[bool] = True
+
+    def __init__(self, stop: threading.Event) -> None:
+        super().__init__()
+        self.stop = stop
+
+    def _on_step(self) -> bool:
+        return not self.stop.is_set()
 
 
 def _check_independence(models: Sequence[TabularAlgorithm]) -> None:

@@ -20,6 +20,10 @@ from sb3_adaptive_q.saved_model import SavedModel, buffers_of, collect, decode_m
 from sb3_adaptive_q.saved_values import MissingFunction, find_class
 from sb3_adaptive_q.state_index import StateIndex
 from sb3_adaptive_q.step_sizes import STEP_SIZES, resolve_parameters
+from sb3_adaptive_q.training_state import TrainingState
+
+#: More environments than are ever stepped one after the other
+MOST_ENVS = 1_000_000
 
 SelfSavedAsData = TypeVar("SelfSavedAsData", bound="SavedAsData")
 
@@ -31,8 +35,9 @@ class SavedAsData:
     built_anew: ClassVar[frozenset[str]] = frozenset(
         (
             "policy", "device", "env", "replay_buffer", "rollout_buffer", "_vec_normalize_env", "_logger", "_custom_logger",
-            "choices", "episode_series", "training", "_known_learning_rate", "_learning", "_method", "_missing_method",
-            "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished", "_working",
+            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_learning", "_method",
+            "_missing_method", "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished",
+            "_update_parameters", "_working",
         )
     )  # fmt: skip
 
@@ -124,22 +129,23 @@ class SavedAsData:
         """A model with all that the file says of it, but for what it was in the middle of."""
         attributes, changes = dict(saved.attributes), _changes_of_method(kwargs)
         with refusing(saved.name, "cannot be loaded"):
-            _check_table(attributes, saved.buffers)
+            _check_numbers(attributes, saved)
+            method = _find_method(saved.method)
+            if env is not None:
+                env = cls._wrap_env(env, attributes.get("verbose", 0))  # type: ignore[attr-defined]
+                check_for_correct_spaces(env, attributes["observation_space"], attributes["action_space"])
+                if force_reset or env.num_envs != attributes.get("n_envs"):
+                    attributes["_last_obs"] = None
+                attributes["n_envs"] = env.num_envs
         if kwargs.get("policy_kwargs", attributes.get("policy_kwargs")) != attributes.get("policy_kwargs"):
             raise ValueError(f"`policy_kwargs` must be as in the file, {attributes.get('policy_kwargs')}.")
-        if env is not None:
-            env = cls._wrap_env(env, attributes.get("verbose", 0))  # type: ignore[attr-defined]
-            check_for_correct_spaces(env, attributes["observation_space"], attributes["action_space"])
-            if force_reset or env.num_envs != attributes.get("n_envs"):
-                attributes["_last_obs"] = None
-            attributes["n_envs"] = env.num_envs
         with refusing(saved.name, "cannot be loaded"):
             model = cls(policy=attributes["policy_class"], env=env, device=device, _init_setup_model=False)  # type: ignore[call-arg]
             properties = {name for name in changes if isinstance(inspect.getattr_static(cls, name, None), property)}
             model.__dict__.update(attributes)
             model.__dict__.update({name: value for name, value in changes.items() if name not in properties})
             model._setup_model()  # type: ignore[attr-defined]
-            model._restore(saved, changes)
+            model._restore(saved, method, changes)
             schedule = changes.get("lr_schedule", None if "learning_rate" in changes else attributes.get("lr_schedule"))
             if schedule is not None:
                 model._set_schedule(schedule)
@@ -147,7 +153,7 @@ class SavedAsData:
             setattr(model, name, changes[name])
         return model
 
-    def _restore(self, saved: SavedModel, changes: dict[str, Any]) -> None:
+    def _restore(self, saved: SavedModel, method: InstalledMethod | None, changes: dict[str, Any]) -> None:
         model: Any = self
         buffers, training = saved.buffers, dict(saved.training)
         is_method_replaced = not {"method", "method_kwargs"}.isdisjoint(changes)
@@ -155,66 +161,53 @@ class SavedAsData:
             buffers = {name: array for name, array in buffers.items() if not name.startswith(MEMORY) and name != "mu"}
             training.pop("mu", None)
         else:
-            self._put_in_force(saved.method, buffers)
+            self._put_in_force(method, saved.method, buffers)
         if "seed" in changes:
             training.pop("counter", None)
         elif saved.generator is not None:
             model._predict_generator.bit_generator.state = saved.generator
-        _check_buffers(model.policy.state_dict(), buffers, is_complete=not is_method_replaced, is_file=True)
+        _check_names_and_shapes(model.policy.state_dict(), buffers, is_complete=not is_method_replaced, is_file=True)
         model.policy.load_state_dict({name: th.from_numpy(array) for name, array in buffers.items()}, strict=False)
         model.training.restore(training)
         if model._last_obs is not None:
-            self._restore_next_step(saved)
+            self._restore_next_step(saved, is_changed=bool(changes))
         model._choose_functions()
 
-    def _put_in_force(self, data: MethodData | None, buffers: Mapping[str, np.ndarray]) -> None:
+    def _put_in_force(
+        self, method: InstalledMethod | None, data: MethodData | None, buffers: Mapping[str, np.ndarray]
+    ) -> None:
         model: Any = self
-        try:
-            model._use_method(None if data is None else _find_method(data))
-            model.policy.forget_memory()
-            if model._method is not None:
-                model._declare_memory(model._method)
-        except LookupError:
-            assert data is not None
+        model._use_method(method)
+        model.policy.forget_memory()
+        if method is not None:
+            model._declare_memory(method)
+        elif data is not None:
             warnings.warn(
                 f"The class of the method in force, {data.owner}, is not imported: until its callback is given to `learn`, or "
                 "another method, the model learns with its `learning_rate`.",
                 stacklevel=5,
             )
             model._missing_method = data
-            # Kept for the callback, and for the next file
+            # What the method remembers is kept for its callback, and for the next file
             model.policy.declare({name: array.shape for name, array in buffers.items() if name.startswith(MEMORY)}, 0.0)
 
-    def _restore_next_step(self, saved: SavedModel) -> None:
+    def _restore_next_step(self, saved: SavedModel, is_changed: bool) -> None:
         """What goes on with the episode that is running."""
         model: Any = self
-        expected = self.new_working_arrays()
+        expected = model.new_working_arrays()
         fits = {name: (array.shape, array.dtype) for name, array in saved.working.items()} == {
             name: (array.shape, array.dtype) for name, array in expected.items()
         }
+        if not fits and is_changed:  # of another size, because of another γ or λ: they begin anew
+            return
         if not fits or any(np.isnan(array).any() for array in saved.working.values()):
             raise ValueError(
                 f"the arrays that {type(self).__name__} works with are not those of this table and its environments"
             )
-        self.check_working_arrays(saved.working)
+        model.check_working_arrays(saved.working)
         model._working = saved.working
         actions = (saved.running or {}).get("next_actions")
         model._next_actions = check_actions(actions, model.n_envs, model.q_table.shape[1])
-
-    def new_working_arrays(self) -> dict[str, np.ndarray]:
-        """
-        :return: the arrays that the update works with, as they begin
-        """
-        model: Any = self
-        return model.working_arrays(model.n_envs, *model.q_table.shape)  # type: ignore[no-any-return]
-
-    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """
-        Check arrays that were read from a file, whose numbers machine code looks up without a check.
-
-        :param arrays: of the names, shapes and types of :meth:`new_working_arrays`
-        :raises ValueError: if the update cannot go on with them
-        """
 
     def _set_schedule(self, schedule: Any) -> None:
         model: Any = self
@@ -254,7 +247,9 @@ class SavedAsData:
         if unknown or (is_complete and not given):
             raise ValueError(f"The parameters of a model are those of its 'policy', but got those of {unknown or 'nothing'}.")
         values = {name: th.as_tensor(value) for name, value in given.get("policy", {}).items()}
-        _check_buffers(policy.state_dict(), {name: value.cpu().numpy() for name, value in values.items()}, is_complete)
+        arrays = {name: value.cpu().numpy() for name, value in values.items()}
+        _check_names_and_shapes(policy.state_dict(), arrays, is_complete)
+        _check_values(arrays)
         policy.load_state_dict(values, strict=is_complete)
 
     def check_functions_found(self, callback: Any) -> None:
@@ -286,46 +281,57 @@ def _changes_of_method(kwargs: dict[str, Any]) -> dict[str, Any]:
     return dict(kwargs)
 
 
-def _find_method(data: MethodData) -> InstalledMethod:
+def _find_method(data: MethodData | None) -> InstalledMethod | None:
     """
     :param data: the method as data
-    :return: the method
-    :raises LookupError: if its class is not imported
+    :return: the method; ``None`` where there is none, or its class is not imported
     :raises ValueError: if the data are those of no method
     """
+    if data is None:
+        return None
     if not data.label.isidentifier():  # it becomes the name of a folder
         raise ValueError(f"its method is called {data.label!r}, which is no name")
     if data.owner in STEP_SIZES:
         resolve_parameters(data.owner, data.parameters)
         return InstalledMethod(data, (STEP_SIZES[data.owner].step_size, None))
-    owner = find_class(data.owner, LearningRateCallback)
+    try:
+        owner = find_class(data.owner, LearningRateCallback)
+    except LookupError:
+        return None
     return InstalledMethod(data, (owner.step_size, owner.rule))
 
 
-def _check_table(attributes: dict[str, Any], buffers: Mapping[str, np.ndarray]) -> None:
-    """Before a table is made that the spaces ask for."""
+def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
+    """Before anything is made or seeded: a table that the spaces ask for, of numbers that learning gives."""
     shape = StateIndex(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
-    if buffers["q_table"].shape != shape:
-        raise ValueError(f"`q_table` has the shape {buffers['q_table'].shape}, but the spaces ask for {shape}")
+    if saved.buffers["q_table"].shape != shape:
+        raise ValueError(f"`q_table` has the shape {saved.buffers['q_table'].shape}, but the spaces ask for {shape}")
+    n_envs = attributes.get("n_envs", 1)
+    if not (type(n_envs) is int and 1 <= n_envs <= MOST_ENVS):
+        raise ValueError(f"`n_envs` must be from 1 to {MOST_ENVS}, but got {n_envs!r}")
+    _check_values(saved.buffers)
+    TrainingState().restore(saved.training)
 
 
-def _check_buffers(
+def _check_values(arrays: Mapping[str, np.ndarray]) -> None:
+    for name, array in arrays.items():
+        sound = ~np.isnan(array) if name.startswith(MEMORY) else np.isfinite(array)
+        if not sound.all():
+            raise ValueError(f"`{name}` must hold finite numbers, but has NaN or infinities: {int((~sound).sum())} of them")
+    if "mu" in arrays:
+        check_step_size("mu", float(arrays["mu"].ravel()[0]))
+
+
+def _check_names_and_shapes(
     own: Mapping[str, th.Tensor], given: Mapping[str, np.ndarray], is_complete: bool, is_file: bool = False
 ) -> None:
     """Before any of them is taken over."""
     missing, unknown = sorted(set(own) - set(given)), sorted(set(given) - set(own))
     if is_complete and (missing or unknown):
-        raise RuntimeError(
-            f"the parameters lack {missing or 'nothing'}, and have {unknown or 'nothing'} that the model has not"
-        )
+        raise RuntimeError(f"the parameters lack {missing or 'nothing'}, and the model knows no {unknown or 'others'}")
     for name in set(own) & set(given):
         array, shape = given[name], tuple(own[name].shape)
         if array.shape != shape:
             raise RuntimeError(f"size mismatch: `{name}` has the shape {shape}, but got {array.shape}")
         if is_file and array.dtype != own[name].numpy().dtype:
             raise ValueError(f"`{name}` is of {own[name].numpy().dtype}, but got {array.dtype}")
-        sound = ~np.isnan(array) if name.startswith(MEMORY) else np.isfinite(array)
-        if not sound.all():
-            raise ValueError(f"`{name}` must hold finite numbers, but has NaN or infinities: {int((~sound).sum())} of them")
-    if "mu" in given:
-        check_step_size("mu", float(given["mu"].ravel()[0]))

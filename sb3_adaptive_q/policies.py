@@ -161,18 +161,25 @@ def count_actions(space: spaces.Space[Any]) -> int:
     return int(space.n)
 
 
-def check_memory(shapes: Mapping[str, tuple[int, ...]]) -> None:
+def check_memory(
+    shapes: Mapping[str, tuple[int, ...]], advice: str = "use fewer cells, or fewer components of the observation"
+) -> None:
     """
     :param shapes: the shapes of arrays of 8 bytes an entry, by name
+    :param advice: what to do where they do not fit
     :raises MemoryError: if they would not fit into the memory that is free
     """
     needed, free = 8 * sum(prod(shape) for shape in shapes.values()), psutil.virtual_memory().available
     if needed > free:
-        arrays = ", ".join(f"`{name}` of shape {shape}" for name, shape in shapes.items())
+        arrays = ", ".join(f"`{name.removeprefix(MEMORY)}` of {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(
-            f"The table or memory ({arrays}) takes {Decimal(needed) / 2**30:.1f} GiB, but {free / 2**30:.1f} GiB of memory are "
-            "free: use fewer cells, or fewer components of the observation."
+            f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but "
+            f"{free / 2**30:.1f} GiB of memory are free: {advice}."
         )
+
+
+def _in_words(shape: tuple[int, ...]) -> str:
+    return f"{shape[-2]} states and {shape[-1]} actions" if len(shape) == 2 else f"shape {shape}"
 
 
 MlpPolicy = TabularQPolicy

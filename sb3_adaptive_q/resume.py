@@ -8,7 +8,7 @@ import numpy as np
 import torch as th
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 
-from sb3_adaptive_q.environment_state import write_environments
+from sb3_adaptive_q.environment_state import check_environments, write_environments
 from sb3_adaptive_q.model_archive import refusing
 from sb3_adaptive_q.model_files import SavedAsData
 from sb3_adaptive_q.rollouts.step_rollout import RolloutState, StepRollout
@@ -88,8 +88,9 @@ class Resumable(SavedAsData):
         running, rollout = saved.running, None
         if running is not None and "reason" not in running:
             with refusing(saved.name, "cannot be resumed with these environments"):
-                write_environments(model.env, running["environments"])
+                check_environments(model.env, running["environments"])
                 rollout = check_rollout(running["rollout"], model.n_envs, *model.q_table.shape)
+                write_environments(model.env, running["environments"])
             if (
                 rollout is not None and rollout.transitions
             ):  # the actions were taken, and those after them are still to be drawn

@@ -28,6 +28,8 @@ class StepSizeInForce:
     choices: Choices
     learning_rate: Any
     lr_schedule: Any
+    method: int | str | None
+    method_kwargs: dict[str, Any] | None
     _method: InstalledMethod | None
     _missing_method: MethodData | None
     _known_learning_rate: Any
@@ -43,7 +45,7 @@ class StepSizeInForce:
         set, by a callback of your own too: a method computes on from what was set. Without a method it holds until ``learn``
         ends. Where there is one for each entry, to set it is an error.
         """
-        return self._mu  # type: ignore[no-any-return]
+        return self._mu
 
     @mu.setter
     def mu(self, value: float) -> None:
@@ -60,10 +62,10 @@ class StepSizeInForce:
     @property
     def exploration_rate(self) -> float:
         """
-        The exploration rate ε in force; with Boltzmann exploration, the temperature. A callback may set it: then it holds until
-        ``learn`` ends.
+        The exploration rate ε in force; with Boltzmann exploration, the temperature. A callback may set it: then it holds
+        until ``learn`` ends.
         """
-        return self._exploration_rate  # type: ignore[no-any-return]
+        return self._exploration_rate
 
     @exploration_rate.setter
     def exploration_rate(self, value: float) -> None:
@@ -131,7 +133,7 @@ class StepSizeInForce:
         self._schedule_parameters: tuple[float, ...] = ()
         size, rule = scalar_size, keep_mu
         if self._method is not None:
-            size, rule = self._method.size_function, self._method.rule_function  # type: ignore[assignment]
+            size, rule = self._method.size_function, self._method.rule_function
         else:
             rule = self._schedule_rule()
         model: Any = self
@@ -214,8 +216,8 @@ class StepSizeInForce:
         """The method of the constructor's arguments, where there is one."""
         self._missing_method = None  # of a file, whose class is not imported
         self._use_method(None)
-        if self.method is not None:  # type: ignore[has-type]
-            self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)  # type: ignore
+        if self.method is not None:
+            self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
 
     def _check_exploration(self) -> None:
         for name, known in (("exploration", EXPLORATIONS), ("ties", TIES)):
@@ -224,7 +226,8 @@ class StepSizeInForce:
         schedule = self.exploration_schedule  # type: ignore[attr-defined]
         if not callable(schedule) and schedule not in SCHEDULES:
             raise ValueError(
-                f"`exploration_schedule` must be one of {', '.join(SCHEDULES)}, or a function of the progress, but got {schedule!r}."
+                f"`exploration_schedule` must be one of {', '.join(SCHEDULES)}, or a function of the progress, but got "
+                f"{schedule!r}."
             )
         for name in ("exploration_initial_eps", "exploration_final_eps"):
             self._check_exploration_rate(name, getattr(self, name))
@@ -234,7 +237,9 @@ class StepSizeInForce:
     def _check_exploration_rate(self, name: str, value: Any) -> None:
         if self.exploration == "boltzmann":  # type: ignore[attr-defined]
             if not (isinstance(value, int | float | np.number) and 0.0 < float(value) < float("inf")):
-                raise ValueError(f"`{name}` is the temperature of Boltzmann exploration and must be above 0, but got {value!r}.")
+                raise ValueError(
+                    f"`{name}` is the temperature of Boltzmann exploration and must be above 0, but got {value!r}."
+                )
         else:
             check_step_size(name, value)
 

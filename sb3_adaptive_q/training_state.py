@@ -1,4 +1,4 @@
-"""All that learning changes besides the table and the memory of the step size: one record, the agent's random counter in it."""
+"""All that learning changes besides the table and the step size's memory: one record, the agent's random counter in it."""
 
 from math import inf, isnan
 from typing import Any
@@ -84,7 +84,7 @@ def integer_of_state(name: str, meaning: str) -> Any:
     place = _PLACES[name]
 
     def read(model: Any) -> int:
-        return model.training._integers[place]  # type: ignore[no-any-return]
+        return model.training._integers[place]
 
     def write(model: Any, value: int) -> None:
         model.training._integers[place] = int(value)
@@ -101,6 +101,6 @@ def number_of_state(name: str, meaning: str) -> Any:
     place = _PLACES[name]
 
     def read(model: Any) -> float:
-        return model.training._numbers[place]  # type: ignore[no-any-return]
+        return model.training._numbers[place]
 
     return property(read, doc=meaning)

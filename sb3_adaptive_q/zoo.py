@@ -228,7 +228,8 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """
     parser = argparse.ArgumentParser(
         usage="%(prog)s [train | enjoy | record-video] [option ...]",
-        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it. Unless told otherwise: --algo tabular_q "
+        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it. "
+        "Unless told otherwise: --algo tabular_q "
         f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
         add_help=False,
         allow_abbrev=False,

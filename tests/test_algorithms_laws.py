@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_adaptive_q import SARSA, ExpectedSARSA, NStep, QLambda, SARSALambda, TabularAlgorithm, TabularQ
+from sb3_adaptive_q import SARSA, DoubleQ, ExpectedSARSA, NStep, QLambda, SARSALambda, TabularAlgorithm, TabularQ
 from sb3_adaptive_q.algorithms.td_update import Transition
 from sb3_adaptive_q.algorithms.traces import MARKS, longest_list, size_in_force, sweep, visit
 from sb3_adaptive_q.rollouts import step_rollout
@@ -187,3 +187,29 @@ def make_greedy(sequence: GoldenSequence, **arguments: Any) -> GoldenSequence:
         if not (t.terminated or t.truncated):
             transitions[place + 1] = transitions[place + 1]._replace(action=action)
     return sequence._replace(transitions=tuple(transitions))
+
+
+class TestDoubleQ:
+    @pytest.fixture
+    def model(self, monkeypatch: pytest.MonkeyPatch) -> DoubleQ:
+        """A model that has learned 400 steps with 1/n, each table with its own n."""
+        monkeypatch.setattr(step_rollout, "is_disabled", lambda: True)
+        start = np.random.default_rng(0).random((16, 4))
+        model = DoubleQ("MlpPolicy", make_vec_env("FrozenLake-v1", 2), method="harmonic", initial_q=start, seed=0)
+        return model.learn(400, log_interval=None)
+
+    def test_each_table_has_its_own_memory(self, model: DoubleQ) -> None:
+        """A pair has been visited by the coin of a table exactly where that table has changed."""
+        visits = model.memory["visits"]
+        assert visits.shape == (2, 16, 4) and visits.sum() == 400
+        np.testing.assert_array_equal(visits > 0, model.q_tables != model.initial_q)
+        # A fair coin; five standard errors
+        assert visits[0].sum() == pytest.approx(200, abs=50)
+
+    def test_the_table_is_the_mean_of_both(self, model: DoubleQ) -> None:
+        np.testing.assert_array_equal(model.q_table, 0.5 * (model.q_tables[0] + model.q_tables[1]))
+
+    def test_to_assign_the_table_sets_both(self, model: DoubleQ) -> None:
+        values = np.arange(64.0).reshape(16, 4)
+        model.q_table = values
+        np.testing.assert_array_equal(model.q_tables, [values, values])

@@ -133,6 +133,31 @@ def test_learning_goes_on_in_the_middle_of_an_episode(name: str, variant: int, c
         np.testing.assert_array_equal(parts.memory[key], array)
 
 
+@pytest.mark.parametrize(("env", "masked"), [("slippery lake", False), ("Taxi", True)])
+@pytest.mark.parametrize(("name", "variant"), CONTINUED)
+def test_resumed_from_a_file_of_a_callback(
+    name: str, variant: int, env: str, masked: bool, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the middle of an episode, with traces, transitions that are not learned from yet, and masks."""
+    monkeypatch.setattr(step_rollout, "is_disabled", lambda: True)
+    arguments = {"method": "polynomial", "seed": 1, "use_masking": masked, **VARIANTS[name][variant]}
+    whole = ALGORITHMS[name]("MlpPolicy", make_vec(env, False, 2), **arguments)
+
+    def save(found: dict[str, Any], _: dict[str, Any]) -> bool:
+        if whole.num_timesteps == 202:
+            whole.save(tmp_path / "model")
+        return True
+
+    whole.learn(300, callback=save, log_interval=None)
+    resumed = ALGORITHMS[name].resume(tmp_path / "model", make_vec(env, False, 2))
+    resumed.finish()
+    assert resumed.num_timesteps == 300
+    ours, theirs = ({**model.policy.state_dict(), **model._working} for model in (resumed, whole))
+    assert ours.keys() == theirs.keys()
+    for key, array in ours.items():
+        assert np.asarray(array).tobytes() == np.asarray(theirs[key]).tobytes(), key
+
+
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_saved_and_loaded(name: str, tmp_path: Any) -> None:
     arguments = VARIANTS[name][-1]

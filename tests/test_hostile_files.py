@@ -22,7 +22,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import CheckpointCallback
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, SARSALambda, TabularQ
 from sb3_adaptive_q.saved_values import decode_schedule, find_class, find_function
 
 LAKE = "FrozenLake-v1"
@@ -85,11 +85,11 @@ def forge(path, change):
     write(path, {**members, "data": json.dumps(data).encode()})
 
 
-def forge_arrays(path, announced=None, **arrays):
+def forge_arrays(path, announced=None, prefix="policy.", **arrays):
     """Change arrays of a file, and what it says of them."""
     members = members_of(path)
     data, old = json.loads(members["data"]), dict(np.load(io.BytesIO(members["arrays.npz"])))
-    old.update({f"policy.{name}": array for name, array in arrays.items()})
+    old.update({f"{prefix}{name}": array for name, array in arrays.items()})
     packed = io.BytesIO()
     np.savez(packed, **old)
     data["arrays"] = {name: [array.dtype.str, array.shape] for name, array in old.items()} | (announced or {})
@@ -222,16 +222,25 @@ class TestDamage:
         path.write_bytes(content)
         refuse(path, "no file of a model")
 
-    def test_a_refused_file_changes_nothing(self, path, content):
-        path.write_bytes(content[:-30])
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            lambda path: path.write_bytes(path.read_bytes()[:-30]),
+            lambda path: forge_arrays(path, q_table=np.full((16, 4), np.nan)),
+            lambda path: forge_arrays(path, memory_visits=np.full((1, 16, 4), np.nan)),
+            lambda path: forge_arrays(path, mu=np.array([2.0])),
+        ],
+        ids=["cut off", "NaN", "memory", "step size"],
+    )
+    def test_a_refused_file_changes_nothing(self, path, damage):
+        damage(path)
         model = TabularQ("MlpPolicy", LAKE, method="polynomial", initial_q=0.5)
         env = model.get_env()
         env.seed(7)
         seeds, state = list(env._seeds), copy.deepcopy(np.random.get_state())
-        refuse(path, "damaged", model.set_parameters)
-        refuse(path, "damaged", lambda path: TabularQ.load(path, env=env))
-        refuse(path, "damaged", lambda path: TabularQ.resume(path, env))
-        assert (model.q_table == 0.5).all()
+        for take in (model.set_parameters, lambda path: TabularQ.load(path, env=env), lambda path: TabularQ.resume(path, env)):
+            refuse(path, "damaged|must be|must hold", take)
+        assert (model.q_table == 0.5).all() and model.mu != 2.0
         assert env._seeds == seeds and np.random.get_state()[1].tolist() == state[1].tolist()
 
 
@@ -369,7 +378,15 @@ class TestNumbers:
         refuse(path, f"`{name}` must be")
 
     @pytest.mark.parametrize(
-        ("name", "value"), [("gamma", 2.0), ("gamma", "x"), ("exploration", "x"), ("total_episodes", -1), ("learning_rate", 7)]
+        ("name", "value"),
+        [
+            ("gamma", 2.0),
+            ("gamma", "x"),
+            ("exploration", "x"),
+            ("total_episodes", -1),
+            ("learning_rate", 7),
+            ("n_envs", 10**12),
+        ],
     )
     def test_arguments(self, path, name, value):
         forge(path, lambda data: data["attributes"].update({name: value}))
@@ -441,6 +458,26 @@ class TestRollouts:
         model = TabularQ.resume(path, kind([make_lake]))
         with pytest.raises((KeyError, ValueError)):  # a KeyError from FrozenLake itself
             model.finish()
+
+    def test_arrays_of_the_algorithm(self, path):
+        """Places in a list, of which machine code trusts every one."""
+        folder = path.parent
+        model = SARSALambda("MlpPolicy", LAKE, seed=0, method=7)
+        model.learn(100, callback=CheckpointCallback(50, folder, "x"))
+        path = folder / "x_50_steps.zip"
+        content = path.read_bytes()
+        for name, value in (("n_pairs", 10**6), ("n_pairs", -1), ("places", 10**6), ("pairs", 99)):
+            path.write_bytes(content)
+            array = dict(np.load(io.BytesIO(members_of(path)["arrays.npz"])))[f"working.{name}"]
+            forge_arrays(path, prefix="working.", **{name: np.full_like(array, value)})
+            refuse(path, "cannot be loaded", lambda path: SARSALambda.resume(path, LAKE))
+
+    def test_masks_that_forbid_everything(self, path):
+        folder = path.parent
+        TabularQ("MlpPolicy", "Taxi-v4", use_masking=True).learn(60, callback=CheckpointCallback(50, folder, "x"))
+        path = folder / "x_50_steps.zip"
+        forge_arrays(path, prefix="working.", allowed=np.zeros((500, 6), dtype=bool))
+        refuse(path, "forbids every action", lambda path: TabularQ.resume(path, "Taxi-v4"))
 
     def test_other_environments(self, path):
         env = SampledEnv(spaces.Discrete(16), spaces.Discrete(4))

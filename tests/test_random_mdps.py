@@ -14,7 +14,7 @@ from gymnasium import spaces
 from helpers.algorithms import algorithms
 from helpers.environments import MarkovEnv, SampledEnv, Step
 from helpers.plain_learner import PaperRate, PlainLearner, learn_plainly
-from helpers.random_mdps import STEP_SIZE_NAMES, make_case
+from helpers.random_mdps import STEP_SIZE_NAMES, make_case, pairs_to_try
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +22,8 @@ from sb3_adaptive_q import METHODS, STEP_SIZES, EpisodeSeriesCallback, TabularQ
 from sb3_adaptive_q.vec_env import compiled_vec_env
 
 N_CASES = int(os.environ.get("FUZZ_CASES", "200"))
+#: The suite's cases try every step size and every algorithm, more of them each with each
+PAIRS = pairs_to_try(algorithms(), all_pairs=N_CASES > 200)
 #: Cases of one test, so that a failure is told soon, and a case still costs little
 BATCH = 10
 
@@ -52,7 +54,7 @@ def check_bounds(model, step_size):
 
 
 def check_case(number, folder):
-    case = make_case(number, algorithms())
+    case = make_case(number, PAIRS)
     steps = case.steps * case.n_envs
     ordinary = case.make_model(compiled=False)
     one = learn(ordinary, steps)
@@ -91,13 +93,13 @@ def test_random_processes(batch, tmp_path):
 
 
 def test_the_cases_go_through_everything():
-    """All algorithms and step sizes in the suite, and each on one and on several environments in twice as many cases."""
-    kinds = algorithms()
-    pairs = len(kinds) * len(STEP_SIZE_NAMES)
-    assert TabularQ in kinds and len(STEP_SIZE_NAMES) == 1 + len(METHODS) + len(STEP_SIZES) and pairs <= 200
-    cases = [make_case(number, kinds) for number in range(400)]
-    assert len({(case.kind, case.step_size) for case in cases[:200]}) == pairs
-    assert len({(case.kind, case.step_size, case.n_envs > 1) for case in cases}) == 2 * pairs
+    """All algorithms and all step sizes in the suite; in 5 000 cases each with each, on one and on several environments."""
+    pairs, all_pairs = (pairs_to_try(algorithms(), each) for each in (False, True))
+    assert {kind for kind, _ in pairs} == set(algorithms()) and {name for _, name in pairs} == set(STEP_SIZE_NAMES)
+    assert len(STEP_SIZE_NAMES) == 1 + len(METHODS) + len(STEP_SIZES) and len(pairs) <= 200
+    assert {(case.kind, case.step_size) for case in (make_case(number, pairs) for number in range(200))} == set(pairs)
+    cases = [make_case(number, all_pairs) for number in range(5000)]
+    assert len({(case.kind, case.step_size, case.n_envs > 1) for case in cases}) == 2 * len(all_pairs)
 
 
 def test_the_plain_learner_by_hand():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import TimeLimit, TransformReward
+from helpers.algorithms import algorithms
 from helpers.environments import MarkovEnv, SampledEnv, Step
 from helpers.interrupted import (
     Training,
@@ -30,7 +31,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ, method
-from sb3_adaptive_q.environment_state import CannotRead, read_environments, write_environments
+from sb3_adaptive_q.environment_state import CannotRead, check_environments, read_environments, write_environments
 from sb3_adaptive_q.saved_values import decode, encode
 from wrappers import DiscretizeObservation
 
@@ -83,6 +84,21 @@ class TestBitForBit:
             rest = train(training, tmp_path / "again", checkpoint, compiled=not compiled)
             assert (rest.arrays, rest.next_actions) == (whole.arrays, whole.next_actions)
             assert rest.episodes.tobytes() == whole.episodes[len(whole.episodes) - len(rest.episodes) :].tobytes()
+
+    @PATHS
+    @pytest.mark.parametrize("kind", algorithms(), ids=lambda kind: kind.__name__)
+    def test_algorithms(self, tmp_path, compiled, kind):
+        """Traces and buffers of the last steps are part of it."""
+        training = Training("slippery lake", compiled, 2, 600, 75, {"seed": 1, "method": 7}, kind)
+        whole = train(training, tmp_path)
+        for step, checkpoint in checkpoints(tmp_path):
+            assert_goes_on(train(training, tmp_path / "again", checkpoint), whole, step)
+
+    def test_action_masks(self, tmp_path):
+        training = Training("Taxi", False, 1, 600, 150, {"seed": 1, "method": 7, "use_masking": True})
+        whole = train(training, tmp_path)
+        for step, checkpoint in checkpoints(tmp_path):
+            assert_goes_on(train(training, tmp_path / "again", checkpoint), whole, step)
 
     def test_a_resumed_training_can_be_resumed(self, tmp_path):
         training = Training("slippery lake", False, 1, 1000, 150, {"seed": 1, "method": 7})
@@ -392,7 +408,7 @@ class TestEnvironmentState:
         ours.reset()
         theirs.envs[0].unwrapped.np_random = np.random.Generator(np.random.MT19937(0))
         with pytest.raises(ValueError, match="drew from a PCG64, but got one that draws from a MT19937"):
-            write_environments(theirs, read_environments(ours))
+            check_environments(theirs, read_environments(ours))
 
 
 class MarkovTable(MarkovEnv):

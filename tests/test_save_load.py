@@ -5,6 +5,7 @@ import io
 import json
 import os
 import resource
+import subprocess
 import sys
 import warnings
 import zipfile
@@ -23,7 +24,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, TabularQ, TabularQPolicy, method
+from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, SARSALambda, TabularQ, TabularQPolicy, method
 from sb3_adaptive_q.saved_values import decode, decode_schedule, encode, encode_schedule
 
 LAKE = "FrozenLake-v1"
@@ -155,6 +156,20 @@ class TestWholeOrNotAtAll:
         assert (TabularQ.load(tmp_path / "model").q_table == 1.0).all()
         assert os.listdir(tmp_path) == ["model.zip"]
 
+    def test_a_small_disk_leaves_the_old_file(self, tmp_path, models):
+        """A disk of its own in memory, where the system lets us have one."""
+        (disk := tmp_path / "disk").mkdir()
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(disk)], capture_output=True).returncode:
+            pytest.skip("no file system may be mounted here")
+        try:
+            models[0].save(disk / "model")
+            with pytest.raises(OSError, match=r"No space left on device; a file that was there before is as it was"):
+                models[1].save(disk / "model")
+            assert (TabularQ.load(disk / "model").q_table == 1.0).all()
+            assert os.listdir(disk) == ["model.zip"]
+        finally:
+            subprocess.run(["umount", str(disk)], check=True)
+
     def test_an_interrupt_leaves_the_old_file(self, tmp_path, models, monkeypatch):
         models[0].save(tmp_path / "model")
 
@@ -220,7 +235,7 @@ class TestValues:
     @pytest.mark.parametrize(
         "schedule",
         [0.5, 1, "linear", ConstantSchedule(0.25), LinearSchedule(0.5, 0.1, 0.75), FloatSchedule(0.125), halve],
-        ids=repr,
+        ids=lambda schedule: getattr(schedule, "__name__", repr(schedule)),
     )
     def test_schedules(self, schedule):
         loaded = decode_schedule(json.loads(json.dumps(encode_schedule(schedule))))
@@ -422,6 +437,14 @@ class TestLoad:
     def test_numbers_that_are_no_arguments_can_be_asked_for_too(self, tmp_path, name, value):
         TabularQ("MlpPolicy", LAKE).learn(20).save(tmp_path / "model")
         assert getattr(TabularQ.load(tmp_path / "model", **{name: value}), name) == value
+
+    def test_arrays_of_another_size_begin_anew(self, tmp_path):
+        """How many pairs have traces depends on γ."""
+        SARSALambda("MlpPolicy", LAKE, seed=0).learn(50).save(tmp_path / "model")
+        for env in (None, make_lake()):
+            model = SARSALambda.load(tmp_path / "model", env=env, gamma=0.25)
+            model.predict(0)
+        model.learn(50, reset_num_timesteps=False)
 
     def test_policy_arguments_must_be_those_of_the_file(self, tmp_path):
         TabularQ("MlpPolicy", LAKE).save(tmp_path / "model")

@@ -227,7 +227,7 @@ class NStep(TabularAlgorithm):
         return make_n_step(*TARGETS[self.target])
 
     def working_arrays(self, n_envs: int, n_states: int, n_actions: int) -> dict[str, np.ndarray]:
-        check_memory({"taken": (n_envs, self.n, 2), "rewards": (n_envs, self.n)})
+        check_memory({"taken": (n_envs, self.n, 2), "rewards": (n_envs, self.n)}, "use a smaller `n`")
         return {
             "taken": np.zeros((n_envs, self.n, 2), np.int64),
             "rewards": np.zeros((n_envs, self.n)),

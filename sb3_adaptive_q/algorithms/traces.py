@@ -203,7 +203,8 @@ class TraceAlgorithm(TabularAlgorithm):
     def working_arrays(self, n_envs: int, n_states: int, n_actions: int) -> dict[str, np.ndarray]:
         longest = longest_list(self.gamma * self.trace_decay, self.trace_threshold, n_states * n_actions)
         places, pairs = (n_envs, n_states, n_actions), (n_envs, longest, 2)
-        check_memory({"places": places, "pairs": pairs, "traces": pairs})
+        advice = "use a larger `trace_threshold`, fewer environments or fewer cells"
+        check_memory({"places": places, "pairs": pairs, "traces": pairs}, advice)
         return {
             "places": np.zeros(places, np.int64),
             "pairs": np.zeros(pairs, np.int64),

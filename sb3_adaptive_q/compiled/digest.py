@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import Any
 
+import numba
 import numpy as np
 
 #: Functions of these packages are Numba's to know, and do not change under us
@@ -93,7 +94,9 @@ def _with_attributes(name: str, value: Any, names: list[str]) -> Iterator[tuple[
     if isinstance(value, types.ModuleType) and not is_foreign(value.__name__):
         for attribute in dict.fromkeys(names):
             held = getattr(value, attribute, None)
-            if held is not None and held is not value:
+            if isinstance(held, types.ModuleType) and held is not value:
+                yield from _with_attributes(f"{name}.{attribute}", held, [other for other in names if other != attribute])
+            elif held is not None and held is not value:
                 yield f"{name}.{attribute}", held
 
 
@@ -125,6 +128,8 @@ def _named(name: str, value: Any) -> Any:
     body = getattr(getattr(value, "_dispatcher", None), "py_func", None)
     if body is not None:  # made by ``numba.vectorize``
         return "vectorize", list(_parts(body, []))
+    if isinstance(value, numba.types.Type):
+        return "numba", repr(value)
     if callable(value) and is_foreign(getattr(value, "__module__", None) or type(value).__module__):
         return getattr(value, "__module__", None), getattr(value, "__qualname__", repr(type(value)))
     if is_foreign(type(value).__module__) and type(value).__module__.startswith("numba"):

@@ -30,6 +30,7 @@ _CACHE_FAULTS = (OSError, EOFError, UnpicklingError, ImportError, AttributeError
 
 _lock = threading.RLock()
 _compiled: dict[tuple[Any, ...], Callable[..., Any]] = {}
+_being_copied: list[types.FunctionType] = []
 
 
 class CannotCompile(ValueError):
@@ -73,7 +74,13 @@ def freeze(function: Callable[..., Any]) -> types.FunctionType:
     with _lock:
         copy = getattr(frozen, name, None)
         if copy is None:
-            copy = _copy(original, name)
+            if original in _being_copied:
+                raise CannotFreeze(f"it uses `{original.__name__}`, which calls itself")
+            _being_copied.append(original)
+            try:
+                copy = _copy(original, name)
+            finally:
+                _being_copied.pop()
             register_jitable(**INLINED)(copy)
             setattr(frozen, name, copy)
     return copy
@@ -151,5 +158,9 @@ def _bounds_are_checked() -> bool:
 def _reason(error: NumbaError) -> str:
     """Numba's explanation, as one sentence."""
     lines = [line.strip() for line in str(error).splitlines()]
-    told = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "- Resolution", "Invalid use"))]
+    told = [
+        line
+        for line in lines
+        if line and not line.startswith(("Failed in", "During:", "File ", "- Resolution", "Invalid use"))
+    ]
     return (told or lines)[0].rstrip(".")

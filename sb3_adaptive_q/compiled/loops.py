@@ -125,7 +125,7 @@ def at_progress(step, progress):
     )  # fmt: skip
 
 
-def make_learn_one(update, size, rule, behaviour, explore):
+def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one function of machine code
     """
     :param update: the algorithm's update
     :param size: forms the step size of this update, as a :class:`Step`
@@ -136,13 +136,14 @@ def make_learn_one(update, size, rule, behaviour, explore):
     """
     choose, expect, best, _ = behaviour
 
-    def learn_one(tables, memory, fixed, now, draws, t, env):
+    def learn_one(tables, memory, fixed, now, draws, t, env):  # noqa: C901
         epsilon, progress, n_episodes = now.epsilon, now.progress, now.n_episodes
         if fixed.total_episodes == 0:
             progress = min(now.num_timesteps / max(fixed.total_timesteps, 1), 1.0)
             if fixed.holds_epsilon == 0:
                 epsilon = explore(fixed, progress)
-        agent = Agent(fixed.gamma, epsilon, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
+        rate = epsilon if epsilon >= 0.0 else now.epsilon  # one that is refused below must not enter the tables
+        agent = Agent(fixed.gamma, rate, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
         action, step = update(tables, agent, size, choose, expect, best, memory, draws, t)
         if t.done:
             n_episodes += 1
@@ -283,14 +284,16 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
     return single_loop
 
 
-def make_several_loop(learn_one, reset, step, index, load_state, store_state, name_parameters, check):
+def make_several_loop(  # noqa: C901  # one function of machine code
+    learn_one, reset, step, index, load_state, store_state, name_parameters, check
+):
     """
     The loop for any number of environments, each in a record; for the parameters see :func:`make_single_loop`.
 
     :return: the loop; it begins by learning from the transitions that are pending, if there are any
     """
 
-    def several_loop(tables, memory, learner, draws, envs, dynamics, control, record):
+    def several_loop(tables, memory, learner, draws, envs, dynamics, control, record):  # noqa: C901
         known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
         fixed, now = load_fixed(learner[0]), load_now(learner[0])
         states, generators, parameters = dynamics[0], dynamics[1], name_parameters(*dynamics[2])

@@ -67,7 +67,7 @@ class CompiledRollout(StepRollout):
         except CannotCompile as error:
             raise ValueError(
                 f"A compiled environment needs machine code, but {self.model.own_functions()} or the dynamics "
-                f"{type(self.dynamics).__name__} cannot become that: {error}. LeanVecEnv runs any Python function."
+                f"{type(self.dynamics).__name__} do not compile: {error}. LeanVecEnv runs any Python function."
             ) from error
 
     def _arguments(self, record: tuple[np.ndarray, np.ndarray]) -> tuple[Any, ...]:

@@ -59,7 +59,7 @@ def make_explore(behaviour: tuple[str, str], schedule: str | Callable[[float], f
     if not callable(schedule):
         by_name = SCHEDULES[schedule]
 
-        def explore(fixed, progress):  # type: ignore[no-untyped-def]
+        def explore(fixed, progress):
             return by_name(
                 progress, fixed.exploration_initial, fixed.exploration_final, fixed.exploration_fraction
             )  # fmt: skip
@@ -67,7 +67,7 @@ def make_explore(behaviour: tuple[str, str], schedule: str | Callable[[float], f
         return explore
     of_progress, is_temperature = schedule, behaviour[0] == "boltzmann"
 
-    def explore_freely(fixed, progress):  # type: ignore[no-untyped-def]
+    def explore_freely(fixed, progress):
         rate = float(of_progress(progress))
         fits = 0.0 < rate if is_temperature else 0.0 <= rate <= 1.0
         return rate if fits else -1.0

@@ -53,8 +53,6 @@ class StepRollout:
         self.learner, self.draws = model.training.record, model.training.draws
         self.state_index = model.policy.state_index
         self._state_of = self.state_index.of
-        if model.considered.shape[0] != self.n_envs:
-            model.considered = np.zeros((self.n_envs, model.policy.n_actions))
         self.considered = model.considered
         self.first_action = int(model.action_space.start)
         self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
@@ -65,7 +63,7 @@ class StepRollout:
             model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
         self._action_array = model._next_actions
         # Its entries are Python's integers, which machine code takes faster than NumPy's
-        self.actions: Any = memoryview(model._next_actions)  # type: ignore[arg-type]
+        self.actions: Any = memoryview(model._next_actions)
 
     def take_choices(self) -> None:
         """Fetch the machine code for the model's algorithm and method, which may change between two steps."""
@@ -158,7 +156,9 @@ class StepRollout:
         self.dones, self.infos = [transition[5] for transition in state.transitions], state.infos
         self.new_obs = self.model._last_obs
 
-    def show(self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
+    def show(
+        self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]
+    ) -> None:
         """Put what a step gave among the variables that callbacks see."""
         step_locals = self.step_locals
         step_locals["actions"], step_locals["new_obs"] = actions, new_obs
@@ -256,4 +256,3 @@ class StepRollout:
             f"Rewards must be finite, but at step {self.model.num_timesteps} environment {i} gave {reward} for action "
             f"{self.actions[i] + self.first_action} in state {self.states[i]}: please check its reward."
         )
-

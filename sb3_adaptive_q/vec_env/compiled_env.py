@@ -91,8 +91,8 @@ class CompiledEnv:
             row = -1
         if not 0 <= row < n_states:
             raise ValueError(
-                f"{type(self.unwrapped).__name__} was put into the state {state}, which does not exist: the table has rows 0 to "
-                f"{n_states - 1}."
+                f"{type(self.unwrapped).__name__} was put into the state {state}, which does not exist: the table has rows 0 "
+                f"to {n_states - 1}."
             )
         return state
 
@@ -143,8 +143,8 @@ def _dynamics_of(env: gym.Env) -> type[Dynamics]:
     patched = sorted({"step", "reset"} & set(vars(env)))
     if patched:
         raise ValueError(
-            f"CompiledVecEnv compiles what the class {type(env).__name__} does, but this environment has a `{patched[0]}` of its "
-            "own: use LeanVecEnv, which works with everything."
+            f"CompiledVecEnv compiles what the class {type(env).__name__} does, but this environment has a `{patched[0]}` of "
+            "its own: use LeanVecEnv, which works with everything."
         )
     dynamics = find_dynamics(env)
     if dynamics is not None:
@@ -153,14 +153,14 @@ def _dynamics_of(env: gym.Env) -> type[Dynamics]:
         return TabularDynamics
     if has_table(env):
         raise ValueError(
-            f"{type(env).__name__} has a transition table `P`, but its `step` or `reset` may do more than the table says. If they "
-            "do not, say so: `register_dynamics(MyEnv)(TabularDynamics)`, or the class attribute `compile_by_table = True`. "
-            "Otherwise use LeanVecEnv, which works with everything."
+            f"{type(env).__name__} has a transition table `P`, but its `step` or `reset` may do more than the table says. If "
+            "they do not, say so: `register_dynamics(MyEnv)(TabularDynamics)`, or the class attribute `compile_by_table = "
+            "True`. Otherwise use LeanVecEnv, which works with everything."
         )
     raise ValueError(
-        f"CompiledVecEnv cannot compile {type(env).__name__}: it compiles gymnasium's FrozenLake, Taxi and CliffWalking, classes "
-        f"with `compile_by_table = True`, and {', '.join(registered_names())}. Register its dynamics with `register_dynamics`, or "
-        "use LeanVecEnv, which works with everything."
+        f"CompiledVecEnv cannot compile {type(env).__name__}: it compiles gymnasium's FrozenLake, Taxi and CliffWalking, "
+        f"classes with `compile_by_table = True`, and {', '.join(registered_names())}. Register its dynamics with "
+        "`register_dynamics`, or use LeanVecEnv, which works with everything."
     )
 
 

@@ -83,7 +83,7 @@ class Dynamics:
             return self.reset
         reset = self.reset
 
-        def reset_anew(parameters, state, generator):  # type: ignore[no-untyped-def]
+        def reset_anew(parameters, state, generator):
             return reset(parameters, generator)
 
         return reset_anew
@@ -100,12 +100,12 @@ class Dynamics:
 def _name_parameters(container: type) -> Callable[..., Any]:
     if container is tuple:
 
-        def as_tuple(*parameters):  # type: ignore[no-untyped-def]
+        def as_tuple(*parameters):
             return parameters
 
         return as_tuple
 
-    def as_named_tuple(*parameters):  # type: ignore[no-untyped-def]
+    def as_named_tuple(*parameters):
         return container(*parameters)
 
     return as_named_tuple

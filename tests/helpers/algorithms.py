@@ -2,17 +2,11 @@
 
 from typing import Any
 
-import sb3_adaptive_q
-from sb3_adaptive_q import TabularAlgorithm
+from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 
 
 def algorithms() -> list[type[Any]]:
     """
-    :return: the classes of the algorithms that the package offers, by name
+    :return: the classes of the algorithms that the package offers
     """
-    offered = [getattr(sb3_adaptive_q, name) for name in sorted(sb3_adaptive_q.__all__)]
-    return [
-        each
-        for each in offered
-        if isinstance(each, type) and issubclass(each, TabularAlgorithm) and each is not TabularAlgorithm
-    ]
+    return list(ALGORITHMS.values())

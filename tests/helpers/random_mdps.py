@@ -9,7 +9,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 from gymnasium.wrappers import TimeLimit
 from stable_baselines3.common.monitor import Monitor
 
-from sb3_adaptive_q import METHODS, STEP_SIZES, CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q import METHODS, STEP_SIZES, CompiledVecEnv, LeanVecEnv, TabularQ
 
 #: Outcomes of an action, as many as FrozenLake has: machine code is made for their number
 N_OUTCOMES = 3
@@ -115,19 +115,34 @@ class Case(NamedTuple):
 STEP_SIZE_NAMES: list[int | str | None] = [None, *METHODS, *STEP_SIZES]
 
 
-def make_case(number: int, kinds: list[type[Any]]) -> Case:
+def pairs_to_try(kinds: list[type[Any]], all_pairs: bool) -> list[tuple[type[Any], int | str | None]]:
     """
-    Cases with consecutive numbers go through algorithms and step sizes; the rest is drawn. Among 200 cases a step size has
-    either one environment or several, for each of which machine code has to be made, and among the next 200 the other.
+    :param kinds: the classes of the algorithms
+    :param all_pairs: whether to try every algorithm with every step size, for each of which machine code has to be made;
+        otherwise Q-learning with every step size, and the others with one of each kind
+    :return: the algorithms and step sizes to try
+    """
+    return [
+        (kind, step_size)
+        for kind in kinds
+        for step_size in STEP_SIZE_NAMES
+        if all_pairs or kind is TabularQ or step_size in (7, "autostep")
+    ]
+
+
+def make_case(number: int, pairs: list[tuple[type[Any], int | str | None]]) -> Case:
+    """
+    Cases with consecutive numbers go through the pairs; the rest is drawn. In one round a pair has either one environment or
+    several, for each of which machine code has to be made, and in later rounds the other.
 
     :param number: of the case
-    :param kinds: the classes of the algorithms
+    :param pairs: from :func:`pairs_to_try`
     :return: the case
     """
     draw = np.random.default_rng(number)
-    place, n_names = number // len(kinds), len(STEP_SIZE_NAMES)
-    step_size = STEP_SIZE_NAMES[place % n_names]
-    several = (place % n_names + number // 200) % 2 == 1
+    place = number % len(pairs)
+    kind, step_size = pairs[place]
+    several = (place + number // max(len(pairs), 200)) % 2 == 1
     arguments: dict[str, Any] = {
         "gamma": float(draw.choice([0.0, 1.0, 0.9, draw.random()])),
         "exploration_initial_eps": float(draw.choice([0.0, 1.0, draw.random()])),
@@ -141,7 +156,7 @@ def make_case(number: int, kinds: list[type[Any]]) -> Case:
     if step_size == 7:  # these are compiled anew, so one step size stands for all
         arguments.update([{"ties": "first"}, {"exploration_schedule": "constant"}, {}][draw.integers(3)])
     return Case(
-        kinds[number % len(kinds)],
+        kind,
         step_size,
         number,
         int(draw.integers(2, 5)) if several else 1,
