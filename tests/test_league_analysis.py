@@ -1,5 +1,7 @@
 """What the runs of a league add up to, from runs made up so that the right answer is known."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -33,8 +35,8 @@ TRACK = Track("B", "module:measure", {}, TASKS, RULES)
 #: Mean scores of rule, setting and task
 MEANS = {
     (0, 0): (0.5, 0.5, 0.5),
-    (0, 1): (0.9, 0.1, 0.1),
-    (1, 0): (0.55, 0.6, 0.2),
+    (0, 1): (0.8, 0.1, 0.1),
+    (1, 0): (0.6, 0.65, 0.2),
     (2, 0): (0.8, 0.8, 0.1),
     (3, 0): (0.1, 0.1, 0.1),
     (4, 0): (0.2, 0.2, 0.2),
@@ -112,12 +114,12 @@ def test_disasters_are_clipped_in_the_scores_and_not_in_the_data(chosen: dict[st
 
 
 def test_standings_have_the_best_first_and_compare_it_with_the_references(scores: Scores) -> None:
-    """Interquartile means: of three tasks with 0.8, 0.8, 0.1 the middle half is 0.8 but for the twelfth part at 0.1."""
+    """Of 120 runs around 0.8, 0.8 and 0.1 the middle 60 are 50 around 0.8 and 10 around 0.1: 0.683."""
     rows = standings(TRACK, scores, 400)
     assert [row.label for row in rows] == ["bakf", "polynomial", "constant", "Method 7", "Method 1"]
-    assert [row.rank for row in rows] == [(i, i, i) for i in (1, 2, 3, 4, 5)] or rows[1].rank[1] == 2
+    assert [row.rank for row in rows] == [(i, i, i) for i in (1, 2, 3, 4, 5)]
     best = rows[0]
-    assert best.score.value == pytest.approx((30 * 0.8 * 2 - 10 * 0.8 * 0.0 - 0.0) / 60 * 60 / 60, abs=0.15)
+    assert best.score.value == pytest.approx(0.683, abs=0.01)
     assert best.score.low < best.score.value < best.score.high and best.setting == "as published"
     assert set(best.comparisons) == {"constant", "polynomial"}
     difference = best.comparisons["constant"]
@@ -143,8 +145,9 @@ def test_scores_in_some_tasks(scores: Scores) -> None:
 def test_findings_name_the_best_rule_of_every_kind_with_numbers(scores: Scores) -> None:
     everywhere, still, noisy, moving = findings(TRACK, scores, 400)
     assert everywhere.startswith("**Over all environments together** (still, noisy, moving), take **bakf**")
-    assert "**Where everything is deterministic** (still), take **bakf** (as published): its score is 0.80 [0.79, 0.81]" in still
-    assert "0.30 [0.29, 0.31] above constant, 0.25 [" in still and "It is told apart from every other rule." in still
+    assert "**Where everything is deterministic** (still), take **bakf** (as published): its score is 0.80 [" in still
+    assert re.search(r"0\.30 \[.*\] above constant, 0\.20 \[.*\] above polynomial\. ", still)
+    assert "It is told apart from every other rule." in still
     assert noisy.startswith("**Where rewards are noisy** (noisy), take **bakf**")
     assert moving.startswith("**Where the goal or the rewards move** (moving), take **constant** (alpha = 0.1)")
     assert "above polynomial" in moving and "above constant" not in moving
