@@ -23,7 +23,7 @@ from sb3_adaptive_q.experiments.versions import everything_of
 #: How long to wait for a scheduler, in seconds
 CONNECTION_TIMEOUT = 10.0
 #: How the progress bar looks
-BAR: Any = {"unit": "run", "unit_scale": True, "smoothing": 0.05}
+BAR: Any = {"unit_scale": True, "smoothing": 0.05, "mininterval": 0.5}
 
 Run = Callable[[Cell, Mapping[str, str]], Outcome]
 
@@ -63,7 +63,12 @@ class Failure:
 
 
 def run_missing(
-    cells: Sequence[Cell], folder: ResultFolder, execution: Execution, in_threads: bool = True, title: str = ""
+    cells: Sequence[Cell],
+    folder: ResultFolder,
+    execution: Execution,
+    in_threads: bool = True,
+    title: str = "",
+    unit: str = "run",
 ) -> list[Failure]:
     """
     Run every cell that its folder does not hold yet, in an order of no meaning: so the time left can be told early.
@@ -73,6 +78,7 @@ def run_missing(
     :param execution: how to carry it out
     :param in_threads: whether the cells leave the interpreter to each other for most of their time, as compiled runs do
     :param title: what stands before the progress bar
+    :param unit: of the cells' costs
     :return: the cells that failed, and why; they are run again the next time
     :raises ExperimentError: if a worker dies, the cluster is lost or refused, or a cell cannot be stored; the cells that are
         done by then are stored
@@ -87,7 +93,7 @@ def run_missing(
     kind = "dask" if execution.dask else "threading" if in_threads and not execution.processes else "loky"
     with (
         _workers(execution, kind) as parallel,
-        tqdm(desc=title or None, total=total, initial=done, disable=not execution.progress, **BAR) as bar,
+        tqdm(desc=title or None, unit=unit, total=total, initial=done, disable=not execution.progress, **BAR) as bar,
     ):
         for outcome in _outcomes(parallel, missing, _run_in_process if kind == "loky" else run_cell):
             if outcome.failure:

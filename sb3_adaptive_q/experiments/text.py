@@ -36,7 +36,7 @@ def format_estimate(value: float, low: float, high: float, decimals: int = 2) ->
     :return: the value with its interval in brackets
     """
     if np.isnan(low):
-        return format_number(value)
+        return f"{value:.{decimals}f}" if np.isfinite(value) else "–"
     return f"{value:.{decimals}f} [{low:.{decimals}f}, {high:.{decimals}f}]"
 
 

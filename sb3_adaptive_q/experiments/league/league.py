@@ -90,7 +90,7 @@ def _run(
     cells = {place: cells_of(settings, track, place, phase) for place in places}
     folder, execution, in_threads = where
     title = f"track {track.name}, {phase}" if len(track.name) == 1 else f"{track.name}, {phase}"
-    failures = run_missing([cell for each in cells.values() for cell in each], folder, execution, in_threads, title)
+    failures = run_missing([cell for each in cells.values() for cell in each], folder, execution, in_threads, title, "step")
     reasons = {failure.cell.key: failure.reason for failure in failures}
     return {place: read_runs(folder, each, reasons) for place, each in cells.items()}
 

@@ -71,7 +71,9 @@ NOTE = (
     "random setting's worth is the mean over the grid on that scale. A run that fails counts as the uniform policy from then "
     "on."
 )
-QUICK = "quick look (--quick): a few settings, a few runs, a tenth of the steps; no league result"
+#: What every heading of a quick look ends with, and what it means
+QUICK = " (quick look)"
+QUICK_NOTE = "**A quick look, no league result:** few settings, few runs and a tenth of the steps (`--quick`)."
 
 
 class Analysed(NamedTuple):
@@ -127,7 +129,8 @@ def analyse(played: Played, resamples: int) -> Analysed:
 
 def _summary(settings: LeagueSettings, first: Analysed) -> str:
     track = first.track
-    heading = f"# Step sizes of tabular learning, compared{f': {QUICK}' if settings.quick else ''}"
+    heading = f"# Step sizes of tabular learning, compared{QUICK if settings.quick else ''}"
+    heading += f"\n\n{QUICK_NOTE}" if settings.quick else ""
     sentences = findings(track, first.scores[CHOICES[0]], settings.resamples)
     sentences += [paper_finding(first.rows)]
     runs = sum(len(group) for group in settings.seeds("evaluation"))
@@ -136,7 +139,7 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
 
 
 def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed) -> str:
-    track, mark = analysed.track, f" ({QUICK})" if settings.quick else ""
+    track, mark = analysed.track, QUICK if settings.quick else ""
     wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(settings.resamples, 1000))
     tables = {
         "standings": ("Standings", standings_table(analysed)),
@@ -157,7 +160,7 @@ def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed)
     folder.write(f"tables/{track.name}_wins.csv", matrix.to_csv())
     for name, caption, figure in _figures(analysed, wins):
         if settings.quick:
-            figure.text(0.995, 0.995, "quick look", ha="right", va="top", fontsize="small")
+            figure.text(0.005, 0.995, "quick look", ha="left", va="top", fontsize="small")
         path = f"figures/{track.name}_{file_name(name)}.png"
         folder.write(path, render(figure, "png"))
         gc.collect()  # figures are full of reference cycles

@@ -141,6 +141,11 @@ class LeagueSettings:
         for name in self.tracks:
             if name not in TRACKS:
                 raise unknown_name("track", name, TRACKS)
+        for name in self._scales():
+            if name not in self.environments:
+                raise unknown_name("environment of a scale", name, self.environments)
+        for text in self.sweep:
+            parse_sweep(text)
 
     def as_data(self) -> dict[str, Any]:
         """
