@@ -25,7 +25,7 @@ endef
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help train test lint types benchmark study tensorboard wheel clean
+.PHONY: help train test fuzz endurance lint types benchmark study tensorboard wheel clean
 
 help:  ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -35,6 +35,12 @@ train: $(ZOO)  ## Train FrozenLake-v1 for 500 000 steps with Method 1
 
 test: $(DEV)  ## Run the test suite
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+
+fuzz: $(DEV)  ## Try 5 000 random decision processes on both paths
+	FUZZ_CASES=5000 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/test_random_mdps.py $(ARGS)
+
+endurance: $(DEV)  ## Kill trainings at fifty random moments, and let them go on
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/endurance/*.py $(ARGS)
 
 lint: $(DEV)  ## Check style and formatting
 	$(BIN)/ruff check .
@@ -47,7 +53,7 @@ benchmark: $(DEV)  ## Compare speeds, as ratios within one run
 	$(BIN)/python -m benchmarks $(ARGS)
 
 study: $(DEV)  ## Repeat the paper's experiment: tables, figures and report
-	$(BIN)/python -m sb3_adaptive_q.study $(ARGS)
+	$(BIN)/python -m sb3_adaptive_q study $(ARGS)
 
 tensorboard: $(ZOO)  ## Show the training log in the browser
 	$(BIN)/tensorboard --logdir $(LOG)

@@ -1,61 +1,128 @@
-"""The paper's eight ways of setting the learning rate, as SB3 callbacks over :mod:`sb3_adaptive_q.rules`."""
+"""Methods that set the step size, as SB3 callbacks, and a callback that keeps what every episode was like."""
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, EventCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EventCallback
 
-from sb3_adaptive_q import rules
-from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
-from sb3_adaptive_q.rollouts import Episodes
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_finite, check_step_size
+from sb3_adaptive_q.step_sizes import find_step_size, paper, resolve_parameters
 
 
 class LearningRateCallback(BaseCallback):
     """
-    Base class of everything that sets the learning rate μ at every update.
+    Base class of everything that sets the step size μ at every update.
 
-    When training starts, the callback installs its rule in the model, which applies it inside the update: SB3 calls
-    ``on_step`` before the update and before the next action is chosen, so a rule that looks at either cannot live there.
-    The rule stays in force for later calls of ``learn``, and is saved with the model. ``reset_num_timesteps=True``
-    starts again from ``mu_0``, ``False`` goes on.
+    When training starts, the callback installs its functions in the model, which applies them inside the update: SB3 calls
+    ``on_step`` before the update, so a rule that looks at it cannot live there. The method stays in force for later calls of
+    ``learn``, and is saved with the model. ``reset_num_timesteps=True`` starts it anew, ``False`` goes on.
 
-    A rule of your own is a subclass with the attribute :attr:`rule`, a plain function
-    ``rule(mu, transition, *parameters)`` of scalars that returns μ_{t+1}; see :class:`sb3_adaptive_q.rules.Transition`
-    for what it may look at. It runs as the Python it is, and on a compiled environment as machine code: there it must be
-    written with numbers only, without lists or arrays, in the part of Python that Numba compiles.
+    A method of your own is a subclass with one of these plain functions, or both, as static methods:
 
-    :param mu_0: the step size of the first update; ``None`` asks the rule itself, with a transition of zeros
-    :param next_action: which action's value in the next state the rule sees: ``"same"``, Q_t(s_{t+1}, a_t);
+    - ``step_size(mu, step, *parameters, *arrays)`` returns the step size of *this* update, before the table is written. It may
+      change its arrays in place, at ``[step.row, step.column]``.
+    - ``rule(mu, step, *parameters)`` returns the scalar step size that the *next* update starts from.
+
+    :class:`sb3_adaptive_q.step_sizes.Step` says what they may look at. Both are compiled with Numba: write them with
+    numbers only. A function that Numba does not compile runs as Python on an ordinary environment, after a warning.
+
+    :param mu_0: the scalar step size of the first update; ``None`` asks the functions, with a step of zeros
+    :param next_action: which action's value in the next state a rule sees: ``"same"``, Q_t(s_{t+1}, a_t);
         ``"next"``, Q_t(s_{t+1}, a_{t+1}); ``"max"``, max_a Q_t(s_{t+1}, a)
     :param reset_each_episode: whether μ starts again from ``mu_0`` with every episode (with one environment only)
-    :param parameters: the rule's further arguments, by name
-    :raises ValueError: if ``mu_0`` or ``next_action`` is not one of these, or the parameters are not the rule's
+    :param scope: what has a cell of its own in the arrays: ``"pair"`` each state and action, ``"state"`` each state,
+        ``"shared"`` only the whole training
+    :param memory: the number that every cell of an array starts from, by the array's name; ``None`` for the class's own
+    :param parameters: the functions' further arguments, by name
+    :raises ValueError: if an argument is not one of these, or the parameters are not the functions'
     """
 
-    rule: Callable[..., float]
+    step_size: ClassVar[Callable[..., float] | None] = None
+    rule: ClassVar[Callable[..., float] | None] = None
+    #: The arrays of ``step_size``: the number that every cell starts from, by name, in the order of its arguments
+    memory: ClassVar[Mapping[str, float]] = {}
+    #: Whether ``step.count`` is asked for, the updates of a cell
+    counts: ClassVar[bool] = False
+    #: What a step size is clipped to; without both, one outside [0, 1] is an error
+    lower: ClassVar[float | None] = None
+    upper: ClassVar[float | None] = None
+    #: The compiled path calls this callback at the end of a rollout, and it needs no more
+    knows_rollouts: ClassVar[bool] = True
 
     def __init__(
         self,
         mu_0: float | None = None,
         next_action: str = "next",
         reset_each_episode: bool = False,
+        scope: str = "pair",
+        memory: Mapping[str, float] | None = None,
         **parameters: float,
     ) -> None:
         super().__init__()
-        self.rate = InstalledRate.of(type(self), mu_0, next_action, reset_each_episode, parameters)
+        kind = type(self)
+        if not callable(kind.step_size) and not callable(kind.rule):
+            raise ValueError(
+                f"{kind.__qualname__} needs the class attribute `step_size`, a function `step_size(mu, step, *parameters, "
+                "*arrays)`, or `rule`, a function `rule(mu, step, *parameters)`."
+            )
+        data = MethodData(
+            owner=f"{kind.__module__}:{kind.__qualname__}",
+            label=kind.__name__,
+            parameters=dict(parameters),
+            memory=dict(kind.memory if memory is None else memory),
+            counts=kind.counts,
+            scope=scope,
+            mu_0=mu_0,
+            next_action=next_action,
+            reset_each_episode=reset_each_episode,
+        )
+        if kind.lower is not None and kind.upper is not None:
+            data = data._replace(bounds=(kind.lower, kind.upper))
+        self._install(InstalledMethod(data, (kind.step_size, kind.rule)))
+
+    def _install(self, method: InstalledMethod) -> None:
+        self.method = method
+        method.data._replace(mu_0=method.start())  # raises where the functions give no step size
 
     def _on_training_start(self) -> None:
-        if not hasattr(self.model, "install_rate"):
+        if not hasattr(self.model, "install_method"):
             raise ValueError(
-                f"{type(self).__name__} sets the learning rate of a TabularQ, but got a {type(self.model).__name__}."
+                f"{type(self).__name__} sets the step size of a tabular algorithm, but got a {type(self.model).__name__}."
             )
-        self.model.install_rate(self.rate, restart=self.locals["reset_num_timesteps"])
+        self.model.install_method(self.method, restart=self.locals["reset_num_timesteps"])
 
     def _on_step(self) -> bool:
         return True
+
+
+class StepSizeCallback(LearningRateCallback):
+    """
+    A step size of the literature.
+
+    :param name: a name in :data:`sb3_adaptive_q.STEP_SIZES`
+    :param scope: as in :class:`LearningRateCallback`
+    :param lower: the least step size, where the step size has no parameter of that name
+    :param upper: the largest step size, likewise
+    :param parameters: what differs from the defaults of its parameters
+    :raises ValueError: if there is no such step size, it has no such parameter, or a value is out of range
+    """
+
+    def __init__(
+        self, name: str, scope: str = "pair", lower: float | None = None, upper: float | None = None, **parameters: float
+    ) -> None:
+        BaseCallback.__init__(self)
+        each = find_step_size(name)
+        given = {"lower": lower, "upper": upper}
+        own = {key: value for key, value in given.items() if key in each.parameters and value is not None}
+        bounds = {key: value for key, value in given.items() if key not in each.parameters and value is not None}
+        _check_bounds(*(limits := (bounds.get("lower", each.lower), bounds.get("upper", each.upper))))
+        values = resolve_parameters(name, {**parameters, **own})
+        data = MethodData(name, name, values, each.start_values(values), each.counts, scope, limits)
+        self._install(InstalledMethod(data, (each.step_size, None)))
 
 
 class ConstantRateCallback(LearningRateCallback):
@@ -66,10 +133,10 @@ class ConstantRateCallback(LearningRateCallback):
     :raises ValueError: if it is not from 0 to 1
     """
 
-    rule = staticmethod(rules.constant_rate)
+    rule = staticmethod(paper.constant_rate)
 
     def __init__(self, beta: float = 0.01) -> None:
-        check_rate("beta", beta)
+        check_step_size("beta", beta)
         super().__init__(beta=beta)
 
 
@@ -77,8 +144,8 @@ class _LinearRateCallback(LearningRateCallback):
     """What Methods 3 and 4 have in common: from one end of [β1, β1 + β3] to the other."""
 
     def __init__(self, beta_1: float = 0.01, beta_3: float = 0.04) -> None:
-        check_rate("beta_1", beta_1)
-        check_rate("beta_1 + beta_3", beta_1 + beta_3)
+        check_step_size("beta_1", beta_1)
+        check_step_size("beta_1 + beta_3", beta_1 + beta_3)
         super().__init__(beta_1=beta_1, beta_3=beta_3)
 
 
@@ -91,7 +158,7 @@ class LinearDecayCallback(_LinearRateCallback):
     :raises ValueError: if the first or the last step size is not from 0 to 1
     """
 
-    rule = staticmethod(rules.linear_decay_rate)
+    rule = staticmethod(paper.linear_decay_rate)
 
 
 class LinearGrowthCallback(_LinearRateCallback):
@@ -103,7 +170,7 @@ class LinearGrowthCallback(_LinearRateCallback):
     :raises ValueError: if the first or the last step size is not from 0 to 1
     """
 
-    rule = staticmethod(rules.linear_growth_rate)
+    rule = staticmethod(paper.linear_growth_rate)
 
 
 class ProportionalRateCallback(LearningRateCallback):
@@ -119,7 +186,7 @@ class ProportionalRateCallback(LearningRateCallback):
     :raises ValueError: if a step size is not from 0 to 1, or ``lower`` lies above ``upper``
     """
 
-    rule = staticmethod(rules.proportional_rate)
+    rule = staticmethod(paper.proportional_rate)
 
     def __init__(
         self,
@@ -147,7 +214,7 @@ class SignRateCallback(LearningRateCallback):
     :raises ValueError: if a step size is not from 0 to 1, or ``lower`` lies above ``upper``
     """
 
-    rule = staticmethod(rules.sign_rate)
+    rule = staticmethod(paper.sign_rate)
 
     def __init__(
         self,
@@ -159,7 +226,8 @@ class SignRateCallback(LearningRateCallback):
         reset_each_episode: bool = False,
     ) -> None:
         _check_bounds(lower, upper)
-        super().__init__(mu_0, next_action, reset_each_episode, step=step, lower=lower, upper=upper)
+        check_finite("step", step)
+        super().__init__(mu_0, next_action, reset_each_episode, change=step, lower=lower, upper=upper)
 
 
 class Method(NamedTuple):
@@ -189,50 +257,95 @@ METHODS = {
 }
 
 
-def method(number: int, **parameters: Any) -> LearningRateCallback:
+def method(number: int | str, **parameters: Any) -> LearningRateCallback:
     """
-    The callback of one of the paper's methods.
+    The callback of a method: one of the paper's, or a step size of the literature.
 
-    :param number: 1 to 8
-    :param parameters: what shall differ from the paper's values, by the names of the callback's arguments
+    :param number: 1 to 8 for the paper's, see :data:`METHODS`; a name for the literature's, see :data:`STEP_SIZES`
+    :param parameters: what shall differ from the defaults, by the names of the callback's arguments
     :return: the callback, to be handed to ``learn``
     :raises ValueError: if there is no such method, or it has no such parameter
     """
+    if isinstance(number, str):
+        return StepSizeCallback(number, **parameters)
     if not _is_method_number(number):
-        raise ValueError(f"There are methods 1 to 8, but got {number!r}: see `sb3_adaptive_q.METHODS`.")
+        raise ValueError(
+            f"There are methods 1 to 8, and step sizes with a name, but got {number!r}: see `sb3_adaptive_q.METHODS` and "
+            "`sb3_adaptive_q.STEP_SIZES`."
+        )
     make = METHODS[number].callback
-    known = _argument_names(make)
+    known = list(inspect.signature(make).parameters)
     unknown = sorted(set(parameters) - set(known))
     if unknown:
         raise ValueError(f"Method {number} has the parameters {', '.join(known)}, but got {', '.join(unknown)}.")
-    return make(**parameters)
+    callback = make(**parameters)
+    callback.method.data = callback.method.data._replace(label=f"method{number}")
+    return callback
+
+
+class Episodes(NamedTuple):
+    """
+    Finished episodes, one row each.
+
+    :param returns: sums of rewards, rounded to six decimals as SB3's Monitor does
+    :param lengths: steps
+    :param rates: μ in force at the last transition
+    :param epsilons: the exploration rate in force at the last transition
+    """
+
+    returns: np.ndarray
+    lengths: np.ndarray
+    rates: np.ndarray
+    epsilons: np.ndarray
 
 
 class EpisodeSeriesCallback(BaseCallback):
     """
-    Keeps what every finished episode was like, as arrays with a row for each. Needs SB3's Monitor around the environment,
-    as for the log, unless the environment is compiled.
-
-    After ``learn``: ``returns``, ``lengths``, ``rates`` (μ in force at the last transition) and ``epsilons``.
+    Keeps what every finished episode was like, as arrays with a row for each: ``returns``, ``lengths``, ``rates`` (μ in force
+    at the last transition) and ``epsilons``. They may be read at any time, after an interrupt too.
     """
+
+    knows_rollouts: ClassVar[bool] = True
 
     def __init__(self) -> None:
         super().__init__()
         self._parts: list[Episodes] = []
 
-    def _on_training_start(self) -> None:
+    def _init_callback(self) -> None:
         self._parts = []
+        self.model.episode_series.append(self)  # type: ignore[attr-defined]  # of a tabular algorithm
+
+    def add(self, episodes: Episodes) -> None:
+        """
+        :param episodes: episodes that have ended
+        """
+        self._parts.append(episodes)
 
     def _on_step(self) -> bool:
-        episodes = self.locals["rollout"].finished_episodes()
-        if len(episodes.returns):
-            self._parts.append(episodes)
         return True
 
-    def _on_training_end(self) -> None:
-        empty = Episodes(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-        columns = zip(*(self._parts or [empty]), strict=True)
-        self.returns, self.lengths, self.rates, self.epsilons = (np.concatenate(column) for column in columns)
+    def _column(self, place: int, kind: type) -> np.ndarray:
+        return np.concatenate([part[place] for part in self._parts] or [np.empty(0, kind)])
+
+    @property
+    def returns(self) -> np.ndarray:
+        """The sum of rewards of every episode, of shape (n_episodes,)."""
+        return self._column(0, np.float64)
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """The steps of every episode, of shape (n_episodes,)."""
+        return self._column(1, np.int64)
+
+    @property
+    def rates(self) -> np.ndarray:
+        """μ in force at every episode's last transition, of shape (n_episodes,)."""
+        return self._column(2, np.float64)
+
+    @property
+    def epsilons(self) -> np.ndarray:
+        """The exploration rate in force at every episode's last transition, of shape (n_episodes,)."""
+        return self._column(3, np.float64)
 
 
 def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:
@@ -246,21 +359,52 @@ def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:
     elif isinstance(callback, CallbackList):
         children = callback.callbacks
     elif isinstance(callback, EventCallback):
-        children = (callback.callback,)
+        children = (
+            callback.callback,
+            getattr(callback, "callback_on_new_best", None),
+            getattr(callback, "callback_after_eval", None),
+        )
     if isinstance(callback, BaseCallback):
         yield callback
     for child in children:
         yield from iterate_callbacks(child)
 
 
-def check_one_method(callback: Any) -> None:
+def check_callback(callback: Any) -> None:
     """
     :param callback: what ``learn`` takes
-    :raises ValueError: if more than one callback in it would set the learning rate
+    :raises ValueError: if it is nothing of the kind, or more than one callback in it would set the step size
     """
+    if not (callback is None or callable(callback) or isinstance(callback, BaseCallback | list)):
+        raise ValueError(f"`callback` must be a callback, a list of callbacks, a function or None, but got {callback!r}.")
     found = [type(each).__name__ for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
     if len(found) > 1:
         raise ValueError(f"One learning-rate method can be in force at a time, but got {', '.join(found)}: pass one of them.")
+
+
+def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
+    """
+    Warn where a callback of a user's is called once for many steps, and has not said that it knows.
+
+    :param model: a model on a compiled environment
+    :param callback: what is called after every rollout
+    """
+    if model.callback_interval is not None:
+        return
+    own = [type(each).__name__ for each in iterate_callbacks(callback) if not _knows_rollouts(each)]
+    if own:
+        warnings.warn(
+            f"On a compiled environment {', '.join(own)} is called once for many steps, and finds the last one only. If it "
+            "needs every step, give the model `callback_interval=1`; EpisodeSeriesCallback keeps every episode. If it does "
+            "not, say so: the class attribute `knows_rollouts = True`, or a `callback_interval` of your choice.",
+            stacklevel=4,
+        )
+
+
+def _knows_rollouts(callback: BaseCallback) -> bool:
+    library = type(callback).__module__.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "rl_zoo3")
+    is_function = isinstance(callback, ConvertCallback) and callback.callback is not None
+    return (library and not is_function) or getattr(callback, "knows_rollouts", False)
 
 
 def _is_method_number(number: Any) -> bool:
@@ -268,11 +412,7 @@ def _is_method_number(number: Any) -> bool:
 
 
 def _check_bounds(lower: float, upper: float) -> None:
-    check_rate("lower", lower)
-    check_rate("upper", upper)
+    check_step_size("lower", lower)
+    check_step_size("upper", upper)
     if lower > upper:
         raise ValueError(f"`lower` must not be above `upper`, but got lower={lower} and upper={upper}.")
-
-
-def _argument_names(make: Callable[..., LearningRateCallback]) -> list[str]:
-    return list(inspect.signature(make).parameters)

@@ -4,20 +4,23 @@ import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import ClassVar
 
-from sb3_adaptive_q.tabular_q import TabularQ
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_adaptive_q.base import TabularAlgorithm
 from sb3_adaptive_q.vec_env import CompiledVecEnv
 
 
 def learn_many(
-    models: Sequence[TabularQ],
+    models: Sequence[TabularAlgorithm],
     total_timesteps: int,
     workers: int | None = None,
     log_interval: int | None = 300,
     reset_num_timesteps: bool = True,
-) -> list[TabularQ]:
+) -> list[TabularAlgorithm]:
     """
-    Let models learn at the same time, one thread each: compiled stretches leave the interpreter lock to the others.
+    Let models learn at the same time, one thread each: compiled rollouts leave the interpreter lock to the others.
     Every model ends as it would alone.
 
     :param models: models on a :class:`sb3_adaptive_q.CompiledVecEnv`, each with an environment of its own
@@ -34,10 +37,10 @@ def learn_many(
 
     stop = threading.Event()
 
-    def learn(model: TabularQ) -> TabularQ:
+    def learn(model: TabularAlgorithm) -> TabularAlgorithm:
         return model.learn(
             total_timesteps,
-            callback=lambda _locals, _globals: not stop.is_set(),
+            callback=_StopOnRequest(stop),
             log_interval=log_interval,
             reset_num_timesteps=reset_num_timesteps,
         )
@@ -46,13 +49,26 @@ def learn_many(
     try:
         return list(executor.map(learn, models))
     except BaseException:
-        stop.set()  # an interrupt, or an error in one model, ends the others with their stretch
+        stop.set()  # an interrupt, or an error in one model, ends the others with their rollout
         raise
     finally:
         executor.shutdown(cancel_futures=True)
 
 
-def _check_independence(models: Sequence[TabularQ]) -> None:
+class _StopOnRequest(BaseCallback):
+    """Ends a training between two rollouts, once asked to."""
+
+    knows_rollouts: ClassVar[bool] = True
+
+    def __init__(self, stop: threading.Event) -> None:
+        super().__init__()
+        self.stop = stop
+
+    def _on_step(self) -> bool:
+        return not self.stop.is_set()
+
+
+def _check_independence(models: Sequence[TabularAlgorithm]) -> None:
     if len({id(model) for model in models}) < len(models):
         raise ValueError("Each model can learn once at a time, but one is there twice: make a model for each run.")
     for i, model in enumerate(models):

@@ -1,6 +1,8 @@
-"""The table as an SB3 policy."""
+"""The table as an SB3 policy, with the buffers that an algorithm and a step size declare."""
 
+from collections.abc import Callable, Mapping
 from decimal import Decimal
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -10,23 +12,37 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
+from sb3_adaptive_q.action_masks import check_mask
 from sb3_adaptive_q.state_index import StateIndex
+
+#: What the names of the buffers of a step size begin with
+MEMORY = "memory_"
+
+
+def greedy(rows: np.ndarray) -> np.ndarray:
+    """
+    :param rows: action values, of shape (batch, n_actions)
+    :return: the best action of each row, the first of them in a tie
+    """
+    return rows.argmax(axis=1)
 
 
 class TabularQPolicy(BasePolicy):
     """
     A table of action values, greedy in every state; the first of the best actions where they tie.
 
-    What learning changes are its two buffers, both float64: a step of 1e-9 would be lost in float32.
+    What learning changes are its buffers, all float64: a step of 1e-9 would be lost in float32.
 
     - ``q_table``, of shape (n_states, n_actions)
-    - ``mu``, of shape (1,): the step size of the next update
+    - ``mu``, of shape (1,): the scalar step size of the next update
+    - what the algorithm declares, such as ``q_tables`` of Double Q-learning
+    - ``memory_<name>`` for each array of the step size
 
-    :param observation_space: Discrete, MultiDiscrete or MultiBinary
+    :param observation_space: Discrete, MultiDiscrete, MultiBinary, or a Tuple or Dict of these
     :param action_space: Discrete
     :param lr_schedule: the learning rate by the remaining progress; its value at 1 is the first step size
-    :param initial_q: what every entry of the table starts from
-    :raises ValueError: if a space is of another kind
+    :param initial_q: what every entry of the table starts from: a number, or an array of shape (n_states, n_actions)
+    :raises ValueError: if a space is of another kind, or ``initial_q`` does not fit
     :raises MemoryError: if the table would not fit into the memory that is free
     """
 
@@ -38,22 +54,53 @@ class TabularQPolicy(BasePolicy):
         observation_space: spaces.Space[Any],
         action_space: spaces.Space[Any],
         lr_schedule: Schedule,
-        initial_q: float = 0.0,
+        initial_q: Any = 0.0,
     ) -> None:
         super().__init__(observation_space, action_space)
         self.state_index = StateIndex(observation_space)
         self.initial_q = initial_q
-        n_actions = count_actions(action_space)
-        _check_memory(self.state_index.n_states, n_actions)
-        self.register_buffer("q_table", th.full((self.state_index.n_states, n_actions), initial_q, dtype=th.float64))
-        self.register_buffer("mu", th.full((1,), lr_schedule(1), dtype=th.float64))
+        self.n_actions = count_actions(action_space)
+        self.declare({"q_table": (self.n_states, self.n_actions)}, initial_q)
+        self.register_buffer("mu", th.full((1,), float(lr_schedule(1)), dtype=th.float64))
+
+    @property
+    def n_states(self) -> int:
+        """The rows of the table."""
+        return self.state_index.n_states
+
+    def declare(self, shapes: Mapping[str, tuple[int, ...]], start: Any) -> None:
+        """
+        Add buffers of float64, or start them anew.
+
+        :param shapes: their shapes by name
+        :param start: what they start from: a number, or an array that fits
+        :raises ValueError: if an array does not fit
+        :raises MemoryError: if they would not fit into the memory that is free
+        """
+        check_memory(shapes)
+        for name, shape in shapes.items():
+            values = np.asarray(start, dtype=np.float64)
+            if values.ndim and values.shape != shape[-values.ndim :]:
+                raise ValueError(f"`{name}` has the shape {shape}, but got values of shape {values.shape} to start from.")
+            self.register_buffer(name, th.from_numpy(np.broadcast_to(values, shape).copy()))
+
+    def forget_memory(self) -> None:
+        """Drop the arrays of a step size."""
+        for name in self.memory_names():
+            delattr(self, MEMORY + name)
+
+    def memory_names(self) -> list[str]:
+        """
+        :return: the names of the arrays of the step size
+        """
+        return [name[len(MEMORY) :] for name, _ in self.named_buffers() if name.startswith(MEMORY)]
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         return self._predict(obs, deterministic)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
         assert isinstance(observation, th.Tensor)
-        return th.as_tensor(self._greedy_actions(observation.cpu().numpy()))
+        return th.as_tensor(self._actions(observation.cpu().numpy(), None, greedy))
 
     def predict(
         self,
@@ -61,6 +108,8 @@ class TabularQPolicy(BasePolicy):
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
+        action_masks: np.ndarray | None = None,
+        choose: Callable[[np.ndarray], np.ndarray] = greedy,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """
         The greedy action; without a detour through PyTorch, which costs several times the look-up.
@@ -68,20 +117,29 @@ class TabularQPolicy(BasePolicy):
         :param observation: one observation or a batch of them
         :param state: handed back as it is
         :param episode_start: unused
-        :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds ε-greedy exploration
+        :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds exploration
+        :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
+            ``None`` allows all
+        :param choose: gives actions, counted from 0, by rows of action values; those of forbidden actions are minus infinity
         :return: the action or the batch of actions, and ``state``
-        :raises ValueError: if an observation lies outside the observation space
+        :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
         """
         if isinstance(observation, tuple | dict):
             return super().predict(observation, state, episode_start, deterministic)
         observation = np.asarray(observation)
         is_batch = self.is_vectorized_observation(observation)
-        actions = self._greedy_actions(observation.reshape(-1, *self.observation_space.shape))  # type: ignore[misc]
+        observations = observation.reshape(-1, *self.observation_space.shape)  # type: ignore[misc]
+        actions = self._actions(observations, action_masks, choose)
         return (actions if is_batch else actions[0]), state
 
-    def _greedy_actions(self, observations: np.ndarray) -> np.ndarray:
+    def _actions(
+        self, observations: np.ndarray, action_masks: np.ndarray | None, choose: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
         rows = self.q_table.numpy()[self.state_index.of_batch(observations)]
-        return rows.argmax(axis=1) + int(self.action_space.start)  # type: ignore[attr-defined]
+        if action_masks is not None:
+            masks = np.asarray(action_masks).reshape(-1, self.n_actions)
+            rows = np.where(check_mask(masks, rows.shape, "`predict`"), rows, -np.inf)
+        return choose(rows) + int(self.action_space.start)  # type: ignore[attr-defined]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
@@ -97,19 +155,31 @@ def count_actions(space: spaces.Space[Any]) -> int:
     """
     if not isinstance(space, spaces.Discrete):
         raise ValueError(
-            f"TabularQ needs a Discrete action space, but got {space}: wrap the environment in a "
+            f"A tabular algorithm needs a Discrete action space, but got {space}: wrap the environment in a "
             "`gymnasium.ActionWrapper` that numbers the actions to choose from."
         )
     return int(space.n)
 
 
-def _check_memory(n_states: int, n_actions: int) -> None:
-    needed, free = 8 * n_states * n_actions, psutil.virtual_memory().available
+def check_memory(
+    shapes: Mapping[str, tuple[int, ...]], advice: str = "use fewer cells, or fewer components of the observation"
+) -> None:
+    """
+    :param shapes: the shapes of arrays of 8 bytes an entry, by name
+    :param advice: what to do where they do not fit
+    :raises MemoryError: if they would not fit into the memory that is free
+    """
+    needed, free = 8 * sum(prod(shape) for shape in shapes.values()), psutil.virtual_memory().available
     if needed > free:
+        arrays = ", ".join(f"{name.removeprefix(MEMORY)}: {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(
-            f"A table of {n_states} states and {n_actions} actions takes {Decimal(needed) / 2**30:.1f} GiB, but "
-            f"{free / 2**30:.1f} GiB of memory are free: use fewer cells, or fewer components of the observation."
+            f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but "
+            f"{free / 2**30:.1f} GiB of memory are free: {advice}."
         )
+
+
+def _in_words(shape: tuple[int, ...]) -> str:
+    return f"{shape[-2]} states and {shape[-1]} actions" if len(shape) == 2 else f"shape {shape}"
 
 
 MlpPolicy = TabularQPolicy

@@ -1,6 +1,7 @@
-"""Training with RL Zoo: TabularQ among its algorithms, and its ``train`` and ``enjoy`` with our defaults."""
+"""Training with RL Zoo: the tabular algorithms among its own, and its programs with our defaults."""
 
 import argparse
+import runpy
 import shutil
 import sys
 from functools import partial
@@ -19,8 +20,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
-from sb3_adaptive_q.callbacks import METHODS
-from sb3_adaptive_q.tabular_q import TabularQ
+from sb3_adaptive_q.callbacks import method as make_method
+from sb3_adaptive_q.step_sizes import STEP_SIZES
+from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 ALGORITHM = "tabular_q"
@@ -39,10 +41,11 @@ MISTAKES = (*NOT_PYTHON, AssertionError, AttributeError, ImportError, OSError, T
 
 
 def register() -> None:
-    """Make ``tabular_q`` known to RL Zoo, with its search space for ``--optimize``."""
-    rl_zoo3.ALGOS[ALGORITHM] = TabularQ
-    HYPERPARAMS_SAMPLER[ALGORITHM] = sample_hyperparameters
-    HYPERPARAMS_CONVERTER[ALGORITHM] = convert_hyperparameters  # type: ignore[assignment]
+    """Make the tabular algorithms known to RL Zoo, with their search space for ``--optimize``."""
+    for name, algorithm in ALGORITHMS.items():
+        rl_zoo3.ALGOS[name] = algorithm
+        HYPERPARAMS_SAMPLER[name] = sample_hyperparameters
+        HYPERPARAMS_CONVERTER[name] = convert_hyperparameters  # type: ignore[assignment]
 
 
 def sample_hyperparameters(
@@ -56,7 +59,7 @@ def sample_hyperparameters(
     :param n_actions: unused, of RL Zoo's interface, as are the next two
     :param n_envs: unused
     :param additional_args: unused
-    :return: arguments of TabularQ
+    :return: arguments of a tabular algorithm
     """
     sampled = {
         "method": trial.suggest_categorical("method", [1, 3, 4, 5, 6, 7, 8]),
@@ -73,10 +76,10 @@ def sample_hyperparameters(
 
 def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
     """
-    Turn what a trial stores into what TabularQ takes.
+    Turn what a trial stores into what a tabular algorithm takes.
 
     :param sampled: the numbers drawn by :func:`sample_hyperparameters`, by their names in the trial
-    :return: arguments of TabularQ
+    :return: arguments of a tabular algorithm
     """
     number, upper = sampled["method"], sampled["upper"]
     lower, change = upper * sampled["lower_fraction"], upper * sampled["change"]
@@ -99,7 +102,7 @@ def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def merge_method(hyperparams: dict[str, Any] | None, method: int | None) -> dict[str, Any]:
+def merge_method(hyperparams: dict[str, Any] | None, method: int | str | None) -> dict[str, Any]:
     """
     Let what the command line says of the learning rate replace all that the YAML file says of it.
 
@@ -121,7 +124,7 @@ def merge_method(hyperparams: dict[str, Any] | None, method: int | None) -> dict
     return merged
 
 
-class TabularQExperiment(ExperimentManager):
+class TabularExperiment(ExperimentManager):
     """
     An experiment of RL Zoo with our vectorised environments and hyperparameters, and a summary at the end.
 
@@ -131,13 +134,13 @@ class TabularQExperiment(ExperimentManager):
     """
 
     def __init__(self, args: argparse.Namespace, algo: str, *arguments: Any, ours: argparse.Namespace, **options: Any) -> None:
-        if algo == ALGORITHM and options["config"] is None:
+        if algo in ALGORITHMS and options["config"] is None:
             options["config"] = str(CONFIG)
         super().__init__(args, algo, *arguments, **options)
         self.ours = ours
         self.vec_env_class = VEC_ENVS[ours.vec_env]
         args.vec_env = ours.vec_env
-        if algo == ALGORITHM:
+        if algo in ALGORITHMS:
             args.hyperparams = self.custom_hyperparams = merge_method(self.custom_hyperparams, ours.method)
 
     def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
@@ -204,23 +207,39 @@ def tensorboard_command() -> str:
     return str(beside.relative_to(Path.cwd()) if beside.is_relative_to(Path.cwd()) else beside)
 
 
+def method_name(text: str) -> int | str:
+    """
+    :param text: what was given for ``--method``
+    :return: the number or the name
+    :raises argparse.ArgumentTypeError: if there is no such method
+    """
+    try:
+        number = int(text) if text.lstrip("-").isdigit() else text
+        make_method(number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return number
+
+
 def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """
     :param arguments: the command line
     :return: our options, and the rest, which is RL Zoo's
     """
     parser = argparse.ArgumentParser(
-        usage="%(prog)s [enjoy] [option ...]",
-        description="Train with RL Zoo; after the word enjoy, play a trained agent. Unless told otherwise: --algo tabular_q "
+        usage="%(prog)s [train | enjoy | record-video] [option ...]",
+        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it. "
+        "Unless told otherwise: --algo tabular_q "
         f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
         add_help=False,
         allow_abbrev=False,
     )
     parser.add_argument(
         "--method",
-        type=int,
-        choices=METHODS,
-        help="number of the learning-rate method, with the paper's parameters, in place of the YAML file's",
+        type=method_name,
+        metavar="METHOD",
+        help="a number of the paper's, 1 to 8, or the name of a step size, with its default parameters, in place of the YAML "
+        f"file's; the names are {', '.join(STEP_SIZES)}",
     )
     parser.add_argument(
         "--vec-env",
@@ -247,7 +266,7 @@ def train(arguments: list[str]) -> None:
     ours, rest = parse_options(arguments)
     progress = ["-P", "--verbose", "0"] if ours.progress else []
     sys.argv[1:] = [*DEFAULTS, *progress, *rest]
-    rl_zoo3.train.ExperimentManager = partial(TabularQExperiment, ours=ours)  # type: ignore
+    rl_zoo3.train.ExperimentManager = partial(TabularExperiment, ours=ours)  # type: ignore
     try:
         rl_zoo3.train.train()
     except MISTAKES as error:
@@ -271,17 +290,35 @@ def enjoy(arguments: list[str]) -> None:
         sys.exit(f"error: {error}")
 
 
+def record_video(arguments: list[str]) -> None:
+    """
+    Run RL Zoo's ``record_video``, which films a trained agent, with our defaults.
+
+    :param arguments: the command line
+    :raises SystemExit: if there is no such agent
+    """
+    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
+    try:
+        runpy.run_module("rl_zoo3.record_video", run_name="__main__")
+    except (AssertionError, ValueError) as error:
+        sys.exit(f"error: {error}")
+
+
+#: What the first argument may ask for; anything else is training
+PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video}
+
+
 def main(arguments: list[str] | None = None) -> None:
     """
-    Train or, with ``enjoy`` as the first argument, play.
+    Train or, with ``enjoy`` or ``record-video`` as the first argument, show a trained agent.
 
     :param arguments: the command line; ``None`` for that of the process
     :raises SystemExit: if there is a mistake in it
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     register()
-    if arguments[:1] == ["enjoy"]:
-        enjoy(arguments[1:])
+    if arguments[:1] and arguments[0] in PROGRAMS:
+        PROGRAMS[arguments[0]](arguments[1:])
     else:
         train(arguments)
 

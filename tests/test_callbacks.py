@@ -29,7 +29,7 @@ SCRIPT = [
 
 def greedy_on_script(n_envs=1, **arguments):
     env = DummyVecEnv([lambda: ScriptedEnv(SCRIPT)] * n_envs)
-    return TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0, **arguments)
+    return TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0, ties="first", **arguments)
 
 
 def lake(env=LAKE, **arguments):
@@ -484,7 +484,7 @@ class TestRulesOfAUser:
 
     @pytest.mark.parametrize("parameters", [{}, {"most": 1.0}, {"least": 0.0, "most": 1.0}])
     def test_parameters_must_be_the_rules(self, parameters):
-        with pytest.raises(ValueError, match=r"Halving takes the parameters \(least\).*but got"):
+        with pytest.raises(ValueError, match=r"`rule` of .*Halving takes \(least\) after `mu` and `step`"):
             Halving(mu_0=1.0, **parameters)
 
     def test_only_one_of_them(self):

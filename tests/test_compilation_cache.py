@@ -1,4 +1,4 @@
-"""The compiled loop on disk: later processes find it, edited functions never run stale, and no place for it does no harm."""
+"""Machine code in memory and on disk: it is found again where nothing has changed, never stale, and no disk does no harm."""
 
 import importlib
 import json
@@ -6,39 +6,36 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
+from stable_baselines3.common.env_util import make_vec_env
 
 import sb3_adaptive_q
-from sb3_adaptive_q.compilation import source_digest
+from sb3_adaptive_q import CompiledVecEnv, LearningRateCallback, TabularQ
+from sb3_adaptive_q.compiled.digest import CannotFreeze, digest_of
+from sb3_adaptive_q.compiled.jit import CannotCompile, freeze, machine_code
 
-#: Learns with the rule of a module, and tells the rate it ended with and what the disk had
+#: Learns with the rule of a module, and tells the step size it ended with
 SCRIPT = """
 import json
-import sys
 from stable_baselines3.common.env_util import make_vec_env
-from sb3_adaptive_q import CompiledVecEnv, LearningRateCallback, TabularQ, fused
+import sb3_adaptive_q
+from sb3_adaptive_q import CompiledVecEnv, LearningRateCallback, TabularQ
 
 {rule}
 
 model = TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv), seed=0)
 model.learn(2_000, callback=Mine(mu_0=0.5), log_interval=None)
-stats = fused.run_stretch.dispatcher.stats
-print(json.dumps({{
-    "mu": model.mu,
-    "hits": sum(stats.cache_hits.values()),
-    "misses": sum(stats.cache_misses.values()),
-    "sum": float(model.q_table.sum()),
-    "package": fused.__file__,
-    "cache": stats.cache_path,
-}}))
+print(json.dumps({{"mu": model.mu, "sum": float(model.q_table.sum()), "package": sb3_adaptive_q.__file__}}))
 """
 IMPORTED = "from my_rule import Mine"
 IN_MAIN = """
 class Mine(LearningRateCallback):
     @staticmethod
-    def rule(mu, transition):
+    def rule(mu, step):
         return {rate}
 """
 MY_RULE = """
@@ -47,7 +44,7 @@ from sb3_adaptive_q import LearningRateCallback
 
 class Mine(LearningRateCallback):
     @staticmethod
-    def rule(mu, transition):
+    def rule(mu, step):
         return my_package.helper.scale({factor})
 """
 MY_HELPER = """
@@ -56,27 +53,41 @@ OFFSET = {offset}
 def scale(value):
     return value / 2 + OFFSET
 """
+NAMED_TUPLE = "from collections import namedtuple\nP = namedtuple('P', '{}')\n"
+
+
+def in_process(folder, program, **environment):
+    """
+    Run a program in a process of its own.
+
+    :param folder: where the process is, and imports from first
+    :param program: the text of the program
+    :param environment: variables to set; None for those to unset
+    :return: what ended, with its output
+    """
+    script = Path(folder) / "script.py"
+    script.write_text(program)
+    root = str(Path(sb3_adaptive_q.__file__).parents[1])
+    variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), root]), **environment}
+    variables = {name: value for name, value in variables.items() if value is not None}
+    return subprocess.run(
+        [sys.executable, str(script)], cwd=folder, env=variables, capture_output=True, text=True, timeout=250, check=False
+    )
 
 
 def run(folder, rule=IMPORTED, **environment):
     """
-    Run the script in a process of its own.
+    Let a process of its own learn.
 
     :param folder: where the process is, and imports from first
     :param rule: what defines or imports the rule
     :param environment: variables to set; None for those to unset
-    :return: what it told
+    :return: what it told, with how many functions came from the disk and how many went there, by Numba's own report
     """
-    script = Path(folder) / "script.py"
-    script.write_text(SCRIPT.format(rule=rule))
-    root = str(Path(sb3_adaptive_q.__file__).parents[1])
-    variables = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), root]), **environment}
-    variables = {name: value for name, value in variables.items() if value is not None}
-    result = subprocess.run(
-        [sys.executable, str(script)], cwd=folder, env=variables, capture_output=True, text=True, timeout=250, check=False
-    )
+    result = in_process(folder, SCRIPT.format(rule=rule), NUMBA_DEBUG_CACHE="1", **environment)
     assert result.returncode == 0, result.stderr
-    return json.loads(result.stdout.splitlines()[-1])
+    told = json.loads(result.stdout.splitlines()[-1])
+    return told | {"loaded": result.stdout.count("data loaded from"), "saved": result.stdout.count("data saved to")}
 
 
 def write_rule(folder, factor, offset):
@@ -86,50 +97,62 @@ def write_rule(folder, factor, offset):
     (folder / "my_package" / "helper.py").write_text(MY_HELPER.format(offset=offset))
 
 
-def test_later_processes_find_it_and_edits_are_seen(tmp_path):
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    write_rule(tmp_path, 0.5, 0.0)
-    first = run(tmp_path, **cache)
-    assert (first["mu"], first["hits"], first["misses"]) == (0.25, 0, 1)
-    assert Path(first["cache"]).is_relative_to(tmp_path / "cache")
-    second = run(tmp_path, **cache)
-    assert (second["hits"], second["misses"]) == (1, 0)
-    assert (second["mu"], second["sum"]) == (first["mu"], first["sum"])
+class TestDisk:
+    def test_later_processes_find_it_and_edits_are_seen(self, tmp_path):
+        cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        write_rule(tmp_path, 0.5, 0.0)
+        first = run(tmp_path, **cache)
+        files = sorted((tmp_path / "cache").rglob("*.nbc"))
+        assert first["mu"] == 0.25 and first["saved"] == len(files) > 0
+        second = run(tmp_path, PYTHONHASHSEED="7", **cache)
+        assert (second["loaded"], second["saved"]) == (len(files), 0)
+        assert (second["mu"], second["sum"]) == (first["mu"], first["sum"])
 
-    write_rule(tmp_path, 0.75, 0.0)
-    edited = run(tmp_path, **cache)
-    assert (edited["mu"], edited["hits"]) == (0.375, 0)
-    write_rule(tmp_path, 0.75, 0.125)
-    edited = run(tmp_path, **cache)
-    assert (edited["mu"], edited["hits"]) == (0.5, 0)
+        files[0].write_bytes(files[0].read_bytes()[:10])  # a file that is cut off harms its own function alone
+        third = run(tmp_path, **cache)
+        assert third["loaded"] >= len(files) - 1
+        assert (third["mu"], third["sum"]) == (first["mu"], first["sum"])
+
+        write_rule(tmp_path, 0.75, 0.125)
+        edited = run(tmp_path, **cache)
+        assert edited["mu"] == 0.5 and edited["saved"] > 0
+
+    def test_an_installation_that_cannot_be_written_to_and_no_home(self, tmp_path):
+        """A file where the cache's folder would be: not even the superuser, who may write anywhere, can make it a folder."""
+        installation = tmp_path / "installation"
+        for package in ("sb3_adaptive_q", "wrappers"):
+            source = Path(sb3_adaptive_q.__file__).parents[1] / package
+            shutil.copytree(source, installation / package, ignore=shutil.ignore_patterns("__pycache__", "study", "data"))
+            for folder in [installation / package, *(path for path in (installation / package).rglob("*") if path.is_dir())]:
+                (folder / "__pycache__").touch()
+                folder.chmod(0o555)
+        nowhere = {"HOME": os.devnull, "NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None, "PYTHONPATH": str(installation)}
+        try:
+            told = run(tmp_path, IN_MAIN.format(rate=0.25), **nowhere)
+        finally:
+            for folder in (path for path in (installation, *installation.rglob("*")) if path.is_dir()):
+                folder.chmod(0o755)
+        assert Path(told["package"]).is_relative_to(installation)
+        assert (told["mu"], told["loaded"], told["saved"]) == (0.25, 0, 0)
+
+    def test_checks_of_indices_are_compiled_where_they_are_asked_for(self, tmp_path):
+        program = """
+import numpy as np
+from sb3_adaptive_q.compiled.jit import machine_code
+
+def item(values, index):
+    return values[index]
+
+arguments = np.zeros(3), 3
+machine_code(item, arguments)(*arguments)
+"""
+        cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        assert in_process(tmp_path, program, NUMBA_BOUNDSCHECK=None, **cache).returncode == 0
+        checked = in_process(tmp_path, program, NUMBA_BOUNDSCHECK="1", **cache)
+        assert checked.returncode == 1 and "IndexError: index is out of bounds" in checked.stderr
 
 
-def test_a_rule_of_the_script_itself(tmp_path):
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    first, second = (run(tmp_path, IN_MAIN.format(rate=rate), **cache) for rate in (0.25, 0.125))
-    assert (first["mu"], second["mu"]) == (0.25, 0.125)
-
-
-def test_an_installation_that_cannot_be_written_to_and_no_home(tmp_path):
-    """A file where the cache's folder would be: not even the superuser, who may write anywhere, can make it a folder."""
-    installation = tmp_path / "installation"
-    for package in ("sb3_adaptive_q", "wrappers"):
-        source = Path(sb3_adaptive_q.__file__).parents[1] / package
-        shutil.copytree(source, installation / package, ignore=shutil.ignore_patterns("__pycache__", "study", "data"))
-        for folder in [installation / package, *(path for path in (installation / package).rglob("*") if path.is_dir())]:
-            (folder / "__pycache__").touch()
-            folder.chmod(0o555)
-    nowhere = {"HOME": os.devnull, "NUMBA_CACHE_DIR": None, "XDG_CACHE_HOME": None, "PYTHONPATH": str(installation)}
-    try:
-        told = run(tmp_path, IN_MAIN.format(rate=0.25), **nowhere)
-    finally:
-        for folder in (path for path in (installation, *installation.rglob("*")) if path.is_dir()):
-            folder.chmod(0o755)
-    assert Path(told["package"]).is_relative_to(installation)
-    assert (told["mu"], told["cache"]) == (0.25, None)
-
-
-RULE = "def rule(mu, transition): return "
+RULE = "def rule(mu, step): return "
 #: A rule's files, and the ones that an edit changes
 EDITS = {
     "the formula": ({"m": RULE + "2 * mu"}, {"m": RULE + "3 * mu"}),
@@ -204,6 +227,48 @@ EDITS = {
         {"m": "def make(a):\n    " + RULE + "a(mu)\n    return rule\nrule = make(lambda x: x)"},
         {"m": "def make(a):\n    " + RULE + "a(mu)\n    return rule\nrule = make(lambda x: -x)"},
     ),
+    "another function under the same name": (
+        {"m": "from math import tanh as f\n" + RULE + "f(mu)"},
+        {"m": "from math import atan as f\n" + RULE + "f(mu)"},
+    ),
+    "another function of NumPy's under the same name": (
+        {"m": "from numpy import sin as f\n" + RULE + "f(mu)"},
+        {"m": "from numpy import cos as f\n" + RULE + "f(mu)"},
+    ),
+    "another module under the same name": (
+        {"m": "import math as l\n" + RULE + "l.log(mu)"},
+        {"m": "import cmath as l\n" + RULE + "l.log(mu)"},
+    ),
+    "the lesser and the greater": (
+        {"m": "import numpy as np\n" + RULE + "np.minimum(mu, 1.0)"},
+        {"m": "import numpy as np\n" + RULE + "np.maximum(mu, 1.0)"},
+    ),
+    "a type under the same name": (
+        {"m": "from numpy import float64 as t\n" + RULE + "t(mu)"},
+        {"m": "from numpy import float32 as t\n" + RULE + "t(mu)"},
+    ),
+    "a type of Numba's under the same name": (
+        {"m": "from numba import float64 as t\n" + RULE + "t(mu)"},
+        {"m": "from numba import float32 as t\n" + RULE + "t(mu)"},
+    ),
+    "the type of an array": (
+        {"m": "import numpy as np\nA = np.zeros(2, np.int64)\n" + RULE + "A[0]"},
+        {"m": "import numpy as np\nA = np.zeros(2, np.float64)\n" + RULE + "A[0]"},
+    ),
+    "a whole number and a float": ({"m": "A = 1\n" + RULE + "A"}, {"m": "A = 1.0\n" + RULE + "A"}),
+    "the sign of zero": ({"m": "A = 0.0\n" + RULE + "A"}, {"m": "A = -0.0\n" + RULE + "A"}),
+    "the body of what NumPy calls for every item": (
+        {"m": "from numba import vectorize\n@vectorize\ndef f(x): return x + 1.0\n" + RULE + "f(mu)"},
+        {"m": "from numba import vectorize\n@vectorize\ndef f(x): return x + 2.0\n" + RULE + "f(mu)"},
+    ),
+    "the fields of a named tuple": (
+        {"m": NAMED_TUPLE.format("a, b") + RULE + "P(mu, 2.0).a"},
+        {"m": NAMED_TUPLE.format("b, a") + RULE + "P(mu, 2.0).a"},
+    ),
+    "the fields of a named tuple that is a constant": (
+        {"m": NAMED_TUPLE.format("a, b") + "A = P(1.0, 2.0)\n" + RULE + "A.a"},
+        {"m": NAMED_TUPLE.format("b, a") + "A = P(1.0, 2.0)\n" + RULE + "A.a"},
+    ),
 }
 
 
@@ -223,7 +288,7 @@ class TestDigest:
             importlib.invalidate_caches()
             for name in ("m", "n", "o", "p", "p.n"):
                 sys.modules.pop(name, None)
-            return source_digest(importlib.import_module("m").rule)
+            return digest_of(importlib.import_module("m").rule)
 
         yield digest
         for name in ("m", "n", "o", "p", "p.n"):
@@ -235,14 +300,89 @@ class TestDigest:
         assert digest(files) == before
         assert digest({**files, **edit}) != before
 
-    def test_it_is_the_same_in_every_process(self):
-        command = "from sb3_adaptive_q import rules, compilation; print(compilation.source_digest(rules.sign_rate))"
-        variables = {**os.environ, "PYTHONHASHSEED": "7"}
-        result = subprocess.run([sys.executable, "-c", command], env=variables, capture_output=True, text=True, check=True)
-        assert result.stdout.strip() == source_digest(sb3_adaptive_q.rules.sign_rate)
+    def test_it_is_the_same_in_every_process(self, tmp_path):
+        program = """
+from enum import IntEnum
+import numpy as np
+from sb3_adaptive_q.compiled.digest import digest_of
+
+class Kind(IntEnum):
+    FIRST = 1
+
+NAMES, TABLE = frozenset({"a", "b", "c", "d"}), np.arange(3.0)
+
+def rule(mu, step):
+    return mu if step in NAMES or step in {"e", "f", "g"} else np.minimum(TABLE[Kind.FIRST], mu)
+
+print(digest_of(rule, {"inline": True}))
+"""
+        digests = {in_process(tmp_path, program, PYTHONHASHSEED=seed).stdout for seed in ("0", "7", "12")}
+        assert len(digests) == 1 and len(digests.pop().strip()) == 20
+
+    def test_options_count(self):
+        assert len({digest_of(is_even), digest_of(is_even, 1), digest_of(is_even, 2)}) == 3
 
     def test_functions_that_call_each_other(self):
-        assert source_digest(is_even) != source_digest(is_odd)
+        assert digest_of(is_even) != digest_of(is_odd)
+
+    @pytest.mark.parametrize(
+        "held", [object(), [1.0], threading.Lock(), {1: object()}], ids=["object", "list", "lock", "dict"]
+    )
+    def test_a_global_of_another_kind_is_refused(self, held):
+        scope = {"HELD": held}
+        exec("def rule(mu, step): return HELD", scope)
+        for refuse in (digest_of, freeze):
+            with pytest.raises(
+                CannotFreeze, match=r"it uses `HELD`, which is a .*: machine code can hold numbers, arrays, tuples"
+            ):
+                refuse(scope["rule"])
+        with pytest.raises(CannotCompile, match="it uses `HELD`"):
+            machine_code(scope["rule"], (0.0, 0.0))
+
+
+class TestOneProcess:
+    """A function that was compiled already, and something it uses that changes."""
+
+    def test_nothing_has_changed(self):
+        assert freeze(double) is freeze(double)
+        assert machine_code(double, (1.0,)) is machine_code(double, (2.0,)) is not machine_code(double, (1,))
+
+    def test_functions_that_call_themselves_are_refused(self):
+        with pytest.raises(CannotCompile, match="it uses `is_even`, which calls itself"):
+            machine_code(is_even, (1,))
+
+    def test_values_of_before_stay_in_what_was_compiled_before(self):
+        scope = {"RATE": 0.25}
+        exec("def rule(mu, step): return RATE", scope)
+        before = machine_code(scope["rule"], (0.0, 0.0))
+        scope["RATE"] = 0.5
+        assert machine_code(scope["rule"], (0.0, 0.0))(0.0, 0.0) == 0.5
+        assert before(0.0, 0.0) == 0.25
+
+    @pytest.mark.parametrize("compiled", [False, True])
+    @pytest.mark.parametrize("change", ["a global", "an array", "a helper"])
+    def test_the_next_training_sees_it(self, compiled, change):
+        scope = {"RATE": 0.25, "RATES": np.array([0.25]), "helper": lambda: 0.25}
+        exec("def rule(mu, step): return min(RATE, RATES[0], helper())", scope)
+
+        class Mine(LearningRateCallback):
+            rule = staticmethod(scope["rule"])
+
+        env = make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv) if compiled else "FrozenLake-v1"
+        model = TabularQ("MlpPolicy", env, seed=0).learn(10, callback=Mine(mu_0=0.5))
+        assert model.mu == 0.25
+        if change == "a global":
+            scope["RATE"] = 0.125
+        elif change == "an array":
+            scope["RATES"][0] = 0.125
+        else:
+            scope["helper"] = lambda: 0.125
+        model.learn(10, callback=Mine(mu_0=0.5))
+        assert model.mu == 0.125
+
+
+def double(number):
+    return number + number
 
 
 def is_even(number):

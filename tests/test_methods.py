@@ -87,7 +87,7 @@ def make_model(envs, table, **arguments):
         DummyVecEnv([lambda env=env: env for env in envs]),
         exploration_initial_eps=0.0,
         exploration_final_eps=0.0,
-        **arguments,
+        **{"ties": "first", **arguments},
     )
     model.q_table[:] = np.array([[float(value) for value in row] for row in table])
     return model
@@ -172,7 +172,9 @@ class TestOptions:
         for seed in range(12):
             env = MarkovEnv([[Step(0.0, 1)] * 3, [Step(0.0, 1)] * 3])
             chosen = {"next_action": reading, "upper": 0.1}
-            model = TabularQ("MlpPolicy", env, method=5, method_kwargs=chosen, exploration_final_eps=1.0, seed=seed)
+            model = TabularQ(
+                "MlpPolicy", env, ties="first", method=5, method_kwargs=chosen, exploration_final_eps=1.0, seed=seed
+            )
             model.q_table[1] = values
             recorder = Recorder()
             model.learn(2, callback=recorder, log_interval=None)
@@ -316,7 +318,9 @@ class TestExploration:
     def test_epsilon_falls_linearly_and_holds_for_an_episode_where_episodes_count(self):
         script = [Episode(0, [Step(0.0, 1), Step(0.0, 0, "terminated")])]
         recorder = Recorder()
-        model = TabularQ("MlpPolicy", DummyVecEnv([lambda: ScriptedEnv(script)]), total_episodes=5, exploration_fraction=0.5)
+        model = TabularQ(
+            "MlpPolicy", DummyVecEnv([lambda: ScriptedEnv(script)]), ties="first", total_episodes=5, exploration_fraction=0.5
+        )
         model.learn(1000, callback=recorder, log_interval=None)
         # ε = 1 - 0.95 (k/5) / 0.5, down to 0.05 from half of the five episodes on, for the k finished ones
         assert recorder.epsilons == pytest.approx([1.0, 1.0, 0.62, 0.62, 0.24, 0.24, 0.05, 0.05, 0.05, 0.05])
@@ -345,6 +349,7 @@ class TestExploration:
                 exploration_fraction=0.01,
                 exploration_final_eps=0.0,
                 learning_rate=0.0,
+                ties="first",
                 seed=seed,
             )
             model.learn(100, callback=recorder, log_interval=None)
@@ -477,12 +482,12 @@ class TestMethodsTable:
         assert NUMBERS == [1, 2, 3, 4, 5, 6, 7, 8]
         for number in NUMBERS:
             expected = paper_start(number, float)
-            model = TabularQ("MlpPolicy", DummyVecEnv([lambda: ScriptedEnv(SCRIPT)]), method=number)
+            model = TabularQ("MlpPolicy", DummyVecEnv([lambda: ScriptedEnv(SCRIPT)]), ties="first", method=number)
             assert model.mu == pytest.approx(expected)
             assert METHODS[number].formula
 
     def test_a_method_overrides_the_learning_rate(self):
-        model = TabularQ("MlpPolicy", DummyVecEnv([lambda: ScriptedEnv(SCRIPT)]), learning_rate=0.7, method=1)
+        model = TabularQ("MlpPolicy", DummyVecEnv([lambda: ScriptedEnv(SCRIPT)]), ties="first", learning_rate=0.7, method=1)
         model.learn(4, log_interval=None)
         assert model.mu == 0.01
 

@@ -1,4 +1,4 @@
-"""The README's Python, block after block, as a reader would type it."""
+"""The README and the pages of docs/: every Python block runs when it is copied alone."""
 
 import re
 from pathlib import Path
@@ -7,38 +7,37 @@ from typing import Any
 import numpy as np
 import pytest
 
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+from sb3_adaptive_q import METHODS
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the blocks leave behind, executed one after the other in a folder of their own."""
-    blocks = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+def blocks_of(path: Path) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+BLOCKS = [
+    (path.name, i, block)
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    for i, block in enumerate(blocks_of(path))
+]
+
+
+@pytest.mark.parametrize("name, block", [pytest.param(name, block, id=f"{name}-{i}") for name, i, block in BLOCKS])
+def test_a_block_runs_alone(name: str, block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {"__name__": "readme"}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(tmp_path_factory.mktemp("readme"))
-        for block in blocks:
-            exec(compile(block, "README.md", "exec"), namespace)
-    return namespace
+    exec(compile(block, name, "exec"), namespace)
+    model = namespace.get("model")
+    assert model is None or (np.isfinite(model.q_table).all() and model.q_table.any())
 
 
-def test_the_compiled_example_learns_the_lake(names: dict[str, Any]) -> None:
-    """Q* of the first state is 0.542 by value iteration; a table after ten million steps is near it."""
-    assert names["fast"].num_timesteps == 10_000_000
-    assert np.isclose(names["fast"].q_table[0].max(), 0.542, atol=0.1)
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 150
+    assert len(blocks_of(ROOT / "README.md")) >= 4
 
 
-def test_the_saved_model_is_the_one_that_was_trained(names: dict[str, Any]) -> None:
-    assert names["model"].num_timesteps == 300_000
-    assert names["model"].q_table.shape == (16, 4)
-
-
-def test_every_method_of_the_table_is_there(names: dict[str, Any]) -> None:
-    rows = re.findall(r"^\| (\d) \| ([\d, ]+) \|.*\| `(\w+)\((.*)\)` \|$", README, flags=re.MULTILINE)
-    assert [int(number) for number, *_ in rows] == list(range(1, 9))
-    for number, equation, callback, arguments in rows:
-        made = names["method"](int(number))
-        assert type(made).__name__ == callback
-        stated = dict(argument.split("=") for argument in arguments.split(", "))
-        assert {name: made.rate.parameters[name] for name in stated} == {name: float(value) for name, value in stated.items()}
-        assert __import__("sb3_adaptive_q").METHODS[int(number)].equation == equation
+def test_every_method_of_the_table_is_there() -> None:
+    rows = re.findall(r"^\| (\d) \| ([\d, ]+) \|", README, flags=re.MULTILINE)
+    assert [(int(number), equation) for number, equation in rows] == [(n, each.equation) for n, each in METHODS.items()]

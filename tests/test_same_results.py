@@ -15,14 +15,14 @@ import numba
 import numpy as np
 import pytest
 from helpers.both_paths import CELLS, ENVIRONMENTS, assert_same, learn, make_env, make_model
-from helpers.paper_learner import greedy, learn_by_the_paper, paper_rates, paper_start
+from helpers.paper_learner import SplitMix64, greedy, learn_by_the_paper, paper_rates, paper_start
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_adaptive_q import METHODS, CompiledVecEnv, LearningRateCallback, TabularQ
-from sb3_adaptive_q.fused import make_compilable
+from sb3_adaptive_q.compiled.jit import freeze
 from sb3_adaptive_q.vec_env.dynamics import Grid, find_dynamics
 from wrappers import DiscretizeObservation
 
@@ -159,9 +159,7 @@ class TestArguments:
             return TabularQ("MlpPolicy", (CompiledVecEnv if compiled else DummyVecEnv)([env, env]), seed=3, method=7)
 
         ordinary, compiled = (learn(make(path), 6_000) for path in (False, True))
-        if kind == "no Monitor":  # without which the ordinary path knows of no returns
-            assert len(ordinary.returns) == 0
-            ordinary = ordinary._replace(**{name: getattr(compiled, name) for name in ordinary._fields[-4:]})
+        assert len(ordinary.returns) > 50
         assert_same(compiled, ordinary)
 
     def test_as_a_user_would_write_it(self):
@@ -208,7 +206,7 @@ def learn_lake_by_the_paper(number, seed, n_steps, n_envs=1, total_episodes=None
     The table of Algorithm 1 and Eqs. 2-11 with floats, ε-greedy: a number below ε asks for another one, which is the
     action. The agent draws from the first of the two sequences that are spawned from the seed, the environment from its own.
     """
-    generator = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0])
+    generator = SplitMix64(int(np.random.SeedSequence(seed).spawn(2)[0].generate_state(1, np.uint64)[0]))
     clocks = [Clock(gym.make("FrozenLake-v1"), seed + i) for i in range(n_envs)]
 
     def choose(table, state):
@@ -238,7 +236,7 @@ class TestAgainstThePaper:
     @pytest.mark.parametrize("number", METHODS)
     def test_one_environment(self, number):
         table, mu = learn_lake_by_the_paper(number, seed=5, n_steps=15_000)
-        ours = learn(make_model(LAKE, True, method=number, seed=5), 15_000)
+        ours = learn(make_model(LAKE, True, method=number, seed=5, ties="first"), 15_000)
         assert np.count_nonzero(table) > 10
         np.testing.assert_array_equal(ours.table, table)
         assert ours.mu == mu
@@ -246,14 +244,14 @@ class TestAgainstThePaper:
     @pytest.mark.parametrize("number", [3, 7])
     def test_three_environments(self, number):
         table, mu = learn_lake_by_the_paper(number, seed=6, n_steps=6_000, n_envs=3)
-        ours = learn(make_model(LAKE, True, 3, method=number, seed=6), 18_000)
+        ours = learn(make_model(LAKE, True, 3, method=number, seed=6, ties="first"), 18_000)
         assert np.count_nonzero(table) > 10
         np.testing.assert_array_equal(ours.table, table)
         assert ours.mu == mu
 
     @pytest.mark.parametrize("number", [4, 8])
     def test_iterations_are_episodes(self, number):
-        ours = learn(make_model(LAKE, True, method=number, seed=7, total_episodes=1000), 10**6)
+        ours = learn(make_model(LAKE, True, method=number, seed=7, ties="first", total_episodes=1000), 10**6)
         table, mu = learn_lake_by_the_paper(number, seed=7, n_steps=ours.num_timesteps, total_episodes=1000)
         assert np.count_nonzero(table) > 10
         np.testing.assert_array_equal(ours.table, table)
@@ -303,8 +301,7 @@ class TestStatesOfCartPole:
         """Faster and more askew than learning comes to be, where a changed order of operations shows in the last bits."""
         env = CompiledVecEnv([lambda: make_env(name)]).envs[0].unwrapped
         dynamics = find_dynamics(env)(env, Grid.of(DiscretizeObservation(env, **CELLS)))
-        make_compilable(dynamics.step)
-        step = numba.njit(dynamics.step)
+        step = freeze(dynamics.step)
 
         @numba.njit
         def step_all(parameters, states, actions, generator):

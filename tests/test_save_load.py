@@ -1,12 +1,16 @@
 """Saved models: what is in the file, what comes back, and what is refused."""
 
-import base64
 import importlib
 import io
 import json
+import os
+import resource
+import subprocess
 import sys
 import warnings
 import zipfile
+from collections import deque
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -17,9 +21,11 @@ from helpers.environments import Episode, RenumberAction, RenumberObservation, S
 from helpers.paper_learner import learn_by_the_paper, paper_rates
 from helpers.recording import Recorder
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, TabularQ, TabularQPolicy, method, tabular_q
+from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, SARSALambda, TabularQ, TabularQPolicy, method
+from sb3_adaptive_q.saved_values import decode, decode_schedule, encode, encode_schedule
 
 LAKE = "FrozenLake-v1"
 SCRIPT = [
@@ -30,11 +36,14 @@ SCRIPT = [
 
 def greedy_on_script(**arguments):
     env = DummyVecEnv([lambda: ScriptedEnv(SCRIPT)])
-    return TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0, **arguments)
+    return TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0, ties="first", **arguments)
 
 
 def make_lake():
     return gym.make(LAKE)
+
+
+DATA = Path(__file__).parent / "data"
 
 
 def data_of(path):
@@ -42,64 +51,44 @@ def data_of(path):
         return json.loads(file.read("data"))
 
 
-def rewrite_data(path, **changes):
-    """Change entries of the plain data in a saved file."""
+def arrays_of(path):
     with zipfile.ZipFile(path) as file:
-        parts = {name: file.read(name) for name in file.namelist()}
-    data = {**json.loads(parts["data"]), **changes}
-    with zipfile.ZipFile(path, "w") as file:
-        for name, content in {**parts, "data": json.dumps(data).encode()}.items():
-            file.writestr(name, content)
+        return dict(np.load(io.BytesIO(file.read("arrays.npz")), allow_pickle=False))
+
+
+def halve(left):
+    return 0.5 * left
 
 
 class TestFile:
     def test_the_table_is_in_the_file_once(self, tmp_path):
-        """Whether as it is or within a pickle in base 64."""
         env = SampledEnv(spaces.Discrete(3000), spaces.Discrete(5))
         model = TabularQ("MlpPolicy", env, method=7, seed=0).learn(500)
         model.q_table[:] = np.random.default_rng(0).random(model.q_table.shape)
         model.save(tmp_path / "model.zip")
-        marks = [model.q_table[row].tobytes() for row in (0, 1234, 2999)]
-        with zipfile.ZipFile(tmp_path / "model.zip") as file:
-            contents = [file.read(name) for name in file.namelist()]
-            size = sum(part.file_size for part in file.infolist())
-        contents += [
-            base64.b64decode(entry[":serialized:"])
-            for entry in data_of(tmp_path / "model.zip").values()
-            if isinstance(entry, dict) and ":serialized:" in entry
-        ]
-        assert [sum(content.count(mark) for content in contents) for mark in marks] == [1, 1, 1]
-        assert size < 1.2 * model.q_table.nbytes
+        content = (tmp_path / "model.zip").read_bytes()
+        assert [content.count(model.q_table[row].tobytes()) for row in (0, 1234, 2999)] == [1, 1, 1]
+        assert len(content) < 1.2 * model.q_table.nbytes
 
-    def test_tensors_are_float64_and_nothing_but_tensors(self, tmp_path):
-        model = TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0, method=8).learn(500)
+    def test_arrays_are_float64_and_hold_no_objects(self, tmp_path):
+        model = TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0, method="polynomial").learn(500)
         model.save(tmp_path / "model.zip")
-        with zipfile.ZipFile(tmp_path / "model.zip") as file:
-            state = th.load(io.BytesIO(file.read("policy.pth")), weights_only=True)
-        assert {name: value.dtype for name, value in state.items()} == {"q_table": th.float64, "mu": th.float64}
-        np.testing.assert_array_equal(state["q_table"].numpy(), model.q_table)
-        assert state["mu"].item() == model.mu
+        arrays = {name[7:]: array for name, array in arrays_of(tmp_path / "model.zip").items() if name.startswith("policy.")}
+        assert {name: array.dtype for name, array in arrays.items()} == dict.fromkeys(
+            ["q_table", "mu", "memory_visits"], np.float64
+        )
+        np.testing.assert_array_equal(arrays["q_table"], model.q_table)
+        np.testing.assert_array_equal(arrays["memory_visits"][0], model.memory["visits"])
+        assert arrays["memory_visits"].sum() == 500
+        assert arrays["mu"] == model.mu
 
     def test_plain_data_has_the_format_version_and_the_method(self, tmp_path):
         TabularQ("MlpPolicy", LAKE, method=5, method_kwargs={"gain": -0.125}).save(tmp_path / "model.zip")
         data = data_of(tmp_path / "model.zip")
-        assert data["format_version"] == tabular_q.FORMAT_VERSION == 1
-        assert (data["method"], data["method_kwargs"]) == (5, {"gain": -0.125})
-        assert data["gamma"] == 0.99
-
-    def test_a_newer_format_is_refused(self, tmp_path):
-        path = tmp_path / "model.zip"
-        TabularQ("MlpPolicy", LAKE).save(path)
-        rewrite_data(path, format_version=2)
-        with pytest.raises(ValueError, match=r"format version 2.*up to 1.*update"):
-            TabularQ.load(path)
-
-    def test_a_file_is_written_in_the_format_of_the_version_that_writes_it(self, tmp_path, monkeypatch):
-        path = tmp_path / "model.zip"
-        TabularQ("MlpPolicy", LAKE).save(path)
-        monkeypatch.setattr(tabular_q, "FORMAT_VERSION", 2)
-        TabularQ.load(path).save(path)
-        assert data_of(path)["format_version"] == 2
+        assert (data["format_version"], data["algorithm"]) == (2, "TabularQ")
+        assert (data["attributes"]["method"], data["attributes"]["method_kwargs"]) == (5, {"gain": -0.125})
+        assert data["attributes"]["gamma"] == 0.99
+        assert data["method"]["parameters"] == {"gain": -0.125, "lower": 0.001, "upper": 0.01}
 
     def test_a_buffer_will_do_for_a_file(self):
         model = TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0).learn(500)
@@ -107,6 +96,154 @@ class TestFile:
         model.save(buffer)
         buffer.seek(0)
         np.testing.assert_array_equal(TabularQ.load(buffer).q_table, model.q_table)
+
+    def test_paths_are_completed_as_stable_baselines_does(self, tmp_path):
+        model = TabularQ("MlpPolicy", LAKE)
+        (tmp_path / "folder.a").mkdir()
+        with pytest.warns(UserWarning, match=r"folder\.a' is a folder. Will save instead to"):
+            model.save(tmp_path / "folder.a")
+        with pytest.warns(UserWarning, match=r"deeper' does not exist. Will create it"):
+            model.save(str(tmp_path / "new" / "deeper" / "model"))
+        assert (tmp_path / "folder.a_2").is_file() and (tmp_path / "new" / "deeper" / "model.zip").is_file()
+
+    def test_what_is_no_data_is_left_out_with_one_warning(self, tmp_path):
+        model = TabularQ("MlpPolicy", LAKE)
+        model.plan, model.notes, model.shape = (
+            object(),
+            {"a": (1, 2.5), 3: deque([None], maxlen=2)},
+            np.arange(6).reshape(2, 3),
+        )
+        with pytest.warns(UserWarning, match=r"Not saved.*plan \(a object\)\.") as caught:
+            model.save(tmp_path / "model")
+        assert len(caught) == 1
+        loaded = TabularQ.load(tmp_path / "model")
+        assert not hasattr(loaded, "plan") and loaded.notes == model.notes and loaded.notes[3].maxlen == 2
+        np.testing.assert_array_equal(loaded.shape, model.shape)
+
+    def test_exclude_and_include(self, tmp_path):
+        model = TabularQ("MlpPolicy", LAKE, gamma=0.5, verbose=0, stats_window_size=7)
+        model.save(tmp_path / "model", exclude=["gamma", "_stats_window_size"], include=["_stats_window_size"])
+        loaded = TabularQ.load(tmp_path / "model")
+        assert (loaded.gamma, loaded._stats_window_size) == (0.99, 7)
+
+    def test_system_info_is_printed(self, tmp_path, capsys):
+        TabularQ("MlpPolicy", LAKE).save(tmp_path / "model")
+        capsys.readouterr()
+        TabularQ.load(tmp_path / "model", print_system_info=True)
+        current, _, saved = capsys.readouterr().out.partition("== SAVED MODEL SYSTEM INFO ==\n")
+        assert current.startswith("== CURRENT SYSTEM INFO ==\n")
+        assert saved.strip() and saved.strip() in current
+
+
+class TestWholeOrNotAtAll:
+    """That a file that is there survives a kill in the middle of a write is seen in test_resume.py."""
+
+    @pytest.fixture
+    def models(self):
+        env = SampledEnv(spaces.Discrete(5000), spaces.Discrete(4))
+        return [TabularQ("MlpPolicy", env, initial_q=value) for value in (1.0, 2.0)]
+
+    def test_a_full_disk_leaves_the_old_file(self, tmp_path, models):
+        """The limit on the size of a file stands for the disk: the write breaks off in the middle."""
+        models[0].save(tmp_path / "model")
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+        try:
+            with pytest.raises(OSError, match=r"File too large; a file that was there before is as it was.*model\.zip"):
+                models[1].save(tmp_path / "model")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert (TabularQ.load(tmp_path / "model").q_table == 1.0).all()
+        assert os.listdir(tmp_path) == ["model.zip"]
+
+    def test_a_small_disk_leaves_the_old_file(self, tmp_path, models):
+        """A disk of its own in memory, where the system lets us have one."""
+        (disk := tmp_path / "disk").mkdir()
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(disk)], capture_output=True).returncode:
+            pytest.skip("no file system may be mounted here")
+        try:
+            models[0].save(disk / "model")
+            with pytest.raises(OSError, match=r"No space left on device; a file that was there before is as it was"):
+                models[1].save(disk / "model")
+            assert (TabularQ.load(disk / "model").q_table == 1.0).all()
+            assert os.listdir(disk) == ["model.zip"]
+        finally:
+            subprocess.run(["umount", str(disk)], check=True)
+
+    def test_an_interrupt_leaves_the_old_file(self, tmp_path, models, monkeypatch):
+        models[0].save(tmp_path / "model")
+
+        def interrupt(descriptor):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(os, "fsync", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            models[1].save(tmp_path / "model")
+        assert (TabularQ.load(tmp_path / "model").q_table == 1.0).all()
+        assert os.listdir(tmp_path) == ["model.zip"]
+
+    def test_mode_and_link_of_an_old_file_are_kept(self, tmp_path, models):
+        models[0].save(tmp_path / "model")
+        (tmp_path / "model.zip").chmod(0o640)
+        (tmp_path / "newest.zip").symlink_to("model.zip")
+        models[1].save(tmp_path / "newest")
+        assert (tmp_path / "newest.zip").is_symlink()
+        assert (tmp_path / "model.zip").stat().st_mode & 0o777 == 0o640
+        assert (TabularQ.load(tmp_path / "model").q_table == 2.0).all()
+
+
+class TestValues:
+    """What goes into a file comes out of it."""
+
+    @pytest.mark.parametrize(
+        "value",
+        [
+            None, True, -7, 2**70, 0.1, float("inf"), -float("inf"), "text", [1, [2.0]], (1, (None,)), {}, {"a": {"b": []}},
+            {1: "one", (2, 3): "two"}, {":kind:": "mine"}, deque([1, 2], maxlen=2),
+        ],
+        ids=repr,
+    )  # fmt: skip
+    def test_plain_values(self, value):
+        arrays = {}
+        loaded = decode(json.loads(json.dumps(encode(value, arrays), allow_nan=False)), arrays)
+        assert (loaded, type(loaded)) == (value, type(value)) and arrays == {}
+
+    def test_numbers_of_numpy_become_those_of_python(self):
+        values = [np.int64(3), np.float32(0.1), np.bool_(True), np.float64("nan")]
+        loaded = decode(json.loads(json.dumps(encode(values, {}))), {})
+        assert [type(value) for value in loaded] == [int, float, bool, float]
+        np.testing.assert_array_equal(loaded, [3, float(np.float32(0.1)), True, np.nan])
+
+    @pytest.mark.parametrize(
+        "space",
+        [
+            spaces.Discrete(5, start=-2),
+            spaces.MultiDiscrete([[2, 3], [4, 5]], start=[[0, 1], [2, 3]]),
+            spaces.MultiBinary(3),
+            spaces.MultiBinary([2, 2]),
+            spaces.Tuple([spaces.Discrete(2), spaces.Tuple([spaces.MultiBinary(2)])]),
+            spaces.Dict({"b": spaces.Discrete(2), "a": spaces.MultiDiscrete([2, 2])}),
+            spaces.Box(np.array([0.0, -np.inf], np.float32), np.array([1.0, np.inf], np.float32)),
+            spaces.Box(-1, 1, shape=(2, 2), dtype=np.float64),
+        ],
+        ids=str,
+    )
+    def test_spaces(self, space):
+        arrays = {}
+        assert decode(json.loads(json.dumps(encode(space, arrays))), arrays) == space
+
+    @pytest.mark.parametrize(
+        "schedule",
+        [0.5, 1, "linear", ConstantSchedule(0.25), LinearSchedule(0.5, 0.1, 0.75), FloatSchedule(0.125), halve],
+        ids=repr,
+    )
+    def test_schedules(self, schedule):
+        loaded = decode_schedule(json.loads(json.dumps(encode_schedule(schedule))))
+        assert type(loaded) is type(schedule)
+        if callable(schedule):
+            assert [loaded(left) for left in (1.0, 0.6, 0.0)] == [schedule(left) for left in (1.0, 0.6, 0.0)]
+        else:
+            assert loaded == schedule
 
 
 class TestLoad:
@@ -229,18 +366,91 @@ class TestLoad:
         np.testing.assert_array_equal(once.q_table, twice.q_table)
         assert (once.mu, once.num_timesteps) == (twice.mu, twice.num_timesteps)
 
-    def test_a_schedule_comes_back(self, tmp_path):
-        greedy_on_script(learning_rate=lambda left: 0.5 * left).learn(5).save(tmp_path / "model")
+    @pytest.mark.parametrize("schedule", [halve, LinearSchedule(0.5, 0.0, 1.0)], ids=["function", "line"])
+    def test_a_schedule_comes_back(self, tmp_path, schedule):
+        greedy_on_script(learning_rate=schedule).learn(5).save(tmp_path / "model")
         recorder = Recorder()
         TabularQ.load(tmp_path / "model", env=ScriptedEnv(SCRIPT)).learn(4, callback=recorder)
         assert recorder.rates == [0.5, 0.375, 0.25, 0.125, 0.0]
+
+    def test_a_schedule_set_on_the_model_comes_back(self, tmp_path):
+        model = greedy_on_script(learning_rate=0.125).learn(5)
+        model.lr_schedule = FloatSchedule(halve)
+        model.save(tmp_path / "model")
+        recorder = Recorder()
+        TabularQ.load(tmp_path / "model", env=ScriptedEnv(SCRIPT)).learn(4, callback=recorder)
+        assert recorder.rates == [0.5, 0.375, 0.25, 0.125, 0.0]
+
+    def test_random_numbers_go_on(self, tmp_path):
+        """What 50 files learn, each from the one before, is about what one training of that length learns."""
+        arguments = {"seed": 0, "exploration_final_eps": 1.0, "learning_rate": 0.5}
+        whole = TabularQ("MlpPolicy", "Taxi-v4", **arguments).learn(2_500)
+        model = TabularQ("MlpPolicy", "Taxi-v4", **arguments).learn(50)
+        for _ in range(49):
+            model.save(tmp_path / "model")
+            model = TabularQ.load(tmp_path / "model", env="Taxi-v4").learn(50, reset_num_timesteps=False)
+        assert model.num_timesteps == 2_500
+        assert np.count_nonzero(model.q_table) > 0.7 * np.count_nonzero(whole.q_table) > 500
+
+    def test_a_seed_asked_for_on_loading_begins_anew(self, tmp_path):
+        TabularQ("MlpPolicy", LAKE, seed=0).learn(100).save(tmp_path / "model")
+        first, second = (
+            TabularQ.load(tmp_path / "model", env=make_lake(), seed=3, learning_rate=0.5).learn(300) for _ in range(2)
+        )
+        np.testing.assert_array_equal(first.q_table, second.q_table)
+        fresh = TabularQ("MlpPolicy", make_lake(), seed=3)
+        assert TabularQ.load(tmp_path / "model", seed=3).training.draws == fresh.training.draws
+
+    def test_an_untrained_model_learns_as_if_it_had_not_been_saved(self, tmp_path):
+        model = TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0)
+        model.save(tmp_path / "model")
+        loaded = TabularQ.load(tmp_path / "model", env=make_lake())
+        np.testing.assert_array_equal(loaded.learn(500).q_table, model.learn(500).q_table)
+
+    def test_without_a_reset_the_episode_goes_on(self, tmp_path):
+        """SB3's way to go on in the same process, where the environment itself is still there."""
+        env = DummyVecEnv([make_lake])
+        whole = TabularQ("MlpPolicy", make_lake(), seed=0, initial_q=1.0).learn(200).learn(200, reset_num_timesteps=False)
+        TabularQ("MlpPolicy", env, seed=0, initial_q=1.0).learn(200).save(tmp_path / "model")
+        loaded = TabularQ.load(tmp_path / "model", env=env, force_reset=False).learn(200, reset_num_timesteps=False)
+        np.testing.assert_array_equal(loaded.q_table, whole.q_table)
+        assert loaded.num_timesteps == 400
 
     def test_what_the_zoo_puts_in_on_loading(self, tmp_path):
         TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0).learn(500).save(tmp_path / "model")
         replaced = {"learning_rate": 0.0, "lr_schedule": lambda _: 0.0, "clip_range": lambda _: 0.0}
         loaded = TabularQ.load(tmp_path / "model", env=make_lake(), custom_objects=replaced, buffer_size=1)
+        assert loaded.learning_rate == 0.0 and not hasattr(loaded, "clip_range")
         table = loaded.q_table.copy()
         np.testing.assert_array_equal(loaded.learn(200).q_table, table)
+
+    @pytest.mark.filterwarnings("error")
+    def test_what_the_zoo_puts_in_is_ignored_where_a_method_is_in_force(self, tmp_path):
+        greedy_on_script(method=2, learning_rate=0.25).learn(5).save(tmp_path / "model")
+        replaced = {"learning_rate": 0.0, "lr_schedule": lambda _: 0.0}
+        loaded = TabularQ.load(tmp_path / "model", env=ScriptedEnv(SCRIPT), custom_objects=replaced)
+        recorder = Recorder()
+        loaded.learn(3, callback=recorder)
+        assert recorder.rates == [0.05] * 4 and loaded.learning_rate == 0.25
+
+    @pytest.mark.parametrize(("name", "value"), [("exploration_rate", 0.5), ("mu", 0.125), ("num_timesteps", 7)])
+    def test_numbers_that_are_no_arguments_can_be_asked_for_too(self, tmp_path, name, value):
+        TabularQ("MlpPolicy", LAKE).learn(20).save(tmp_path / "model")
+        assert getattr(TabularQ.load(tmp_path / "model", **{name: value}), name) == value
+
+    def test_arrays_of_another_size_begin_anew(self, tmp_path):
+        """How many pairs have traces depends on γ."""
+        SARSALambda("MlpPolicy", LAKE, seed=0).learn(50).save(tmp_path / "model")
+        for env in (None, make_lake()):
+            model = SARSALambda.load(tmp_path / "model", env=env, gamma=0.25)
+            model.predict(0)
+        model.learn(50, reset_num_timesteps=False)
+
+    def test_policy_arguments_must_be_those_of_the_file(self, tmp_path):
+        TabularQ("MlpPolicy", LAKE).save(tmp_path / "model")
+        TabularQ.load(tmp_path / "model", policy_kwargs={})
+        with pytest.raises(ValueError, match=r"policy_kwargs.*as in the file"):
+            TabularQ.load(tmp_path / "model", policy_kwargs={"net_arch": [16]})
 
     def test_more_environments_than_were_saved(self, tmp_path):
         TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0, method=7).learn(100).save(tmp_path / "model")
@@ -290,13 +500,49 @@ class TestOtherSizes:
         np.testing.assert_array_equal(small.q_table, before)
 
     @pytest.mark.parametrize("from_file", [True, False])
-    def test_a_step_size_out_of_range_is_refused_and_changes_nothing(self, tmp_path, from_file):
-        teacher, pupil = (TabularQ("MlpPolicy", LAKE, seed=0, initial_q=q) for q in (1.0, 0.5))
-        teacher.policy.mu.fill_(1.5)
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (lambda policy: policy.mu.fill_(1.5), r"`mu` must be from 0 to 1, but got 1\.5"),
+            (lambda policy: policy.q_table[3].fill_(np.nan), r"`q_table` must hold finite numbers.*4 of them"),
+            (lambda policy: policy.q_table[3, 0].fill_(np.inf), "`q_table` must hold finite numbers"),
+            (lambda policy: policy.memory_visits[0, 2, 1].fill_(np.nan), r"`memory_visits`.*NaN"),
+        ],
+        ids=["step size", "NaN", "infinity", "memory"],
+    )
+    def test_numbers_out_of_range_are_refused_and_change_nothing(self, tmp_path, from_file, change, message):
+        teacher, pupil = (TabularQ("MlpPolicy", LAKE, initial_q=q, method="polynomial") for q in (1.0, 0.5))
+        mu = pupil.mu
+        change(teacher.policy)
         teacher.save(tmp_path / "model")
-        with pytest.raises(ValueError, match=r"`mu` must be from 0 to 1, but got 1\.5"):
+        with pytest.raises(ValueError, match=message) as caught:
             pupil.set_parameters(tmp_path / "model" if from_file else teacher.get_parameters())
-        assert (pupil.q_table == 0.5).all() and pupil.mu == 0.01
+        assert ("model.zip" in str(caught.value)) == from_file
+        assert (pupil.q_table == 0.5).all() and pupil.mu == mu and (pupil.memory["visits"] == 0.0).all()
+        with pytest.raises(ValueError, match=r"model\.zip cannot be loaded: " + message):
+            TabularQ.load(tmp_path / "model")
+
+    @pytest.mark.parametrize(
+        ("parameters", "error"),
+        [
+            ({"policy": {"q_table": th.ones(16, 4)}}, RuntimeError),
+            ({"policy": {"q_table": th.ones(16, 4), "mu": th.ones(1), "memory_visits": th.ones(16, 4)}}, RuntimeError),
+            ({"policy": {"q_table": th.ones(16, 4), "mu": th.ones(1), "memory_other": th.ones(1)}}, RuntimeError),
+            ({"policy": {}, "optimizer": {}}, ValueError),
+            ({}, ValueError),
+        ],
+        ids=["missing", "wrong shape", "unknown", "other object", "nothing"],
+    )
+    def test_parameters_of_another_model_change_nothing(self, parameters, error):
+        model = TabularQ("MlpPolicy", LAKE, initial_q=0.5, method="polynomial")
+        with pytest.raises(error):
+            model.set_parameters(parameters)
+        assert (model.q_table == 0.5).all() and (model.memory["visits"] == 0.0).all()
+
+    def test_some_parameters_can_be_set(self):
+        model = TabularQ("MlpPolicy", LAKE, method="polynomial")
+        model.set_parameters({"policy": {"q_table": th.ones(16, 4)}}, exact_match=False)
+        assert (model.q_table == 1.0).all() and (model.memory["visits"] == 0.0).all()
 
     def test_arguments_out_of_range_are_refused_on_loading(self, tmp_path):
         TabularQ("MlpPolicy", LAKE).save(tmp_path / "model")
@@ -335,10 +581,113 @@ class TestPolicyAlone:
         assert policy.predict(np.array([3, 1]))[0] == 2 + model.q_table[5].argmax()
 
 
+class TestFunctionsThatAreGone:
+    """A lambda has no name to find it by: the model predicts, and asks for the function when it is to learn."""
+
+    @pytest.fixture
+    def path(self, tmp_path):
+        greedy_on_script(learning_rate=lambda left: 0.25 * left).learn(3).save(tmp_path / "model")
+        return tmp_path / "model.zip"
+
+    def test_the_model_predicts_and_asks_when_it_learns(self, path):
+        loaded = TabularQ.load(path, env=ScriptedEnv(SCRIPT))
+        mu = loaded.mu
+        loaded.predict(1)
+        with pytest.raises(ValueError, match=r"`learning_rate` was the function test_save_load:.*<lambda>.*set `model.learn"):
+            loaded.learn(4)
+        assert loaded.mu == mu and loaded.num_timesteps == 3
+
+    def test_the_model_learns_with_what_it_is_given(self, path):
+        for give in (lambda model: setattr(model, "learning_rate", halve), lambda model: setattr(model, "lr_schedule", halve)):
+            recorder, loaded = Recorder(), TabularQ.load(path, env=ScriptedEnv(SCRIPT))
+            give(loaded)
+            loaded.learn(4, callback=recorder)
+            assert recorder.rates == [0.5, 0.375, 0.25, 0.125, 0.0]
+
+    def test_a_method_needs_no_schedule(self, path):
+        assert TabularQ.load(path, env=ScriptedEnv(SCRIPT)).learn(4, callback=method(2)).mu == 0.05
+
+    def test_the_function_can_be_handed_over_on_loading(self, path):
+        for arguments in ({"custom_objects": {"learning_rate": halve}}, {"learning_rate": halve}):
+            recorder = Recorder()
+            TabularQ.load(path, env=ScriptedEnv(SCRIPT), **arguments).learn(4, callback=recorder)
+            assert recorder.rates == [0.5, 0.375, 0.25, 0.125, 0.0]
+
+    def test_a_model_saved_again_still_asks(self, path):
+        TabularQ.load(path).save(path)
+        with pytest.raises(ValueError, match=r"`learning_rate` was the function test_save_load:.*<lambda>"):
+            TabularQ.load(path, env=ScriptedEnv(SCRIPT)).learn(4)
+
+    def test_an_exploration_schedule_is_asked_for_too(self, tmp_path):
+        TabularQ("MlpPolicy", LAKE, exploration_schedule=lambda progress: 1.0 - progress).save(tmp_path / "model")
+        loaded = TabularQ.load(tmp_path / "model", env=LAKE)
+        with pytest.raises(ValueError, match=r"`exploration_schedule` was the function .*<lambda>"):
+            loaded.learn(10)
+        loaded.exploration_schedule = halve
+        assert loaded.learn(10).exploration_rate == 0.5
+
+    def test_an_exploration_schedule_with_a_name_comes_back(self, tmp_path):
+        TabularQ("MlpPolicy", LAKE, exploration_schedule=halve).save(tmp_path / "model")
+        assert TabularQ.load(tmp_path / "model").exploration_schedule is halve
+
+
+class PolicyOfAUser(TabularQPolicy):
+    pass
+
+
+class TestPoliciesOfAUser:
+    def test_a_class_that_is_imported_is_found(self, tmp_path):
+        TabularQ(PolicyOfAUser, LAKE).save(tmp_path / "model")
+        assert type(TabularQ.load(tmp_path / "model").policy) is PolicyOfAUser
+
+    def test_a_class_that_is_not_is_asked_for(self, tmp_path):
+        class Local(TabularQPolicy):
+            pass
+
+        TabularQ(Local, LAKE).save(tmp_path / "model")
+        with pytest.raises(ValueError, match=r"model\.zip.*class 'test_save_load:.*Local', which is not imported here"):
+            TabularQ.load(tmp_path / "model")
+        assert type(TabularQ.load(tmp_path / "model", custom_objects={"policy_class": Local}).policy) is Local
+
+
+class TestFormat1:
+    """Files of the first version, one with a method of the constructor and one with that of a callback."""
+
+    @pytest.mark.parametrize("name", ["format_1_method_7", "format_1_callback"])
+    def test_table_rate_and_method_come_back(self, name):
+        path = DATA / f"{name}.zip"
+        with zipfile.ZipFile(path) as file:
+            saved = th.load(io.BytesIO(file.read("policy.pth")), weights_only=True)
+        loaded = TabularQ.load(path, env=LAKE, allow_pickle=True)
+        np.testing.assert_array_equal(loaded.q_table, saved["q_table"].numpy())
+        assert loaded.mu == saved["mu"].item()
+        expected = {"format_1_method_7": (0.005, 0.9, 3000), "format_1_callback": (-0.001, 0.99, 300)}[name]
+        assert (loaded._method.data.parameters["change"], loaded.gamma, loaded.num_timesteps) == expected
+        assert 0.001 <= loaded.learn(200, reset_num_timesteps=False).mu <= 0.01
+
+    def test_a_callback_goes_on_with_it(self):
+        loaded = TabularQ.load(DATA / "format_1_method_7.zip", env=LAKE, allow_pickle=True)
+        mu, recorder = loaded.mu, Recorder()
+        loaded.learn(1, callback=[method(7), recorder], reset_num_timesteps=False)
+        assert recorder.rates[0] == mu == 0.001
+
+    def test_saved_again_it_is_a_file_of_data(self, tmp_path):
+        first = TabularQ.load(DATA / "format_1_method_7.zip", allow_pickle=True)
+        first.save(tmp_path / "model")
+        second = TabularQ.load(tmp_path / "model")
+        np.testing.assert_array_equal(second.q_table, first.q_table)
+        assert (second.mu, second._method.data) == (first.mu, first._method.data)
+
+    def test_without_a_word_of_trust_it_is_refused(self):
+        for take in (TabularQ.load, TabularQ("MlpPolicy", LAKE).set_parameters):
+            with pytest.raises(ValueError, match=r"format_1_method_7\.zip holds pickled objects.*`allow_pickle=True`"):
+                take(DATA / "format_1_method_7.zip")
+
+
 RULE_MODULE = """
 from sb3_adaptive_q import LearningRateCallback
 
-def halve(mu, transition, least):
+def halve(mu, step, least):
     return max(mu / 2.0, least)
 
 class Halving(LearningRateCallback):
@@ -405,6 +754,9 @@ class TestRulesOfAUser:
             TabularQ.load(path).save(path)
         (tmp_path / "rules_of_a_user.py").write_text(text)
         importlib.invalidate_caches()
+        with pytest.warns(UserWarning, match="rules_of_a_user:Halving"):  # a file does not have modules imported
+            TabularQ.load(path)
+        importlib.import_module("rules_of_a_user")
         recorder = Recorder()
         TabularQ.load(path, env=ScriptedEnv(SCRIPT)).learn(1, callback=recorder, reset_num_timesteps=False)
         assert recorder.rates == [0.125, 0.0625]
@@ -431,7 +783,7 @@ class TestRulesOfAUser:
 
     def test_a_class_within_a_function_cannot_be_found_again(self, tmp_path):
         class Local(LearningRateCallback):
-            rule = staticmethod(lambda mu, transition: 0.5)
+            rule = staticmethod(lambda mu, step: 0.5)
 
         greedy_on_script().learn(3, callback=Local()).save(tmp_path / "model")
         with pytest.warns(UserWarning, match=r"Local.*callback"):

@@ -136,9 +136,9 @@ def test_defaults_and_summary(run: Run, capsys: pytest.CaptureFixture[str], tmp_
     mean = printed_mean(output, "Greedy policy, 500 episodes")
     assert mean == pytest.approx(greedy_return(model, gym.make("FrozenLake-v1"), 500), abs=0.16)
     assert printed(output, "Model") == str(run.path() / "FrozenLake-v1.zip")
-    assert printed(output, "TensorBoard log") == "runs/FrozenLake-v1/TabularQ_1"
+    assert printed(output, "TensorBoard log") == "runs/FrozenLake-v1/TabularQ_method1_1"
     assert printed(output, "Open it with").endswith("tensorboard --logdir runs")
-    log = EventAccumulator(str(tmp_path / "runs" / "FrozenLake-v1" / "TabularQ_1")).Reload()
+    log = EventAccumulator(str(tmp_path / "runs" / "FrozenLake-v1" / "TabularQ_method1_1")).Reload()
     assert {"rollout/ep_rew_mean", "train/learning_rate"} <= set(log.Tags()["scalars"])
 
 

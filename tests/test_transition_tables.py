@@ -18,6 +18,8 @@ from scipy.stats import chi2
 from stable_baselines3.common.monitor import Monitor
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
+from sb3_adaptive_q.compiled.jit import freeze
+from sb3_adaptive_q.random_numbers import read_pcg64
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, read_table
 
 #: Of every statistical test here: how often it would fail for a correct program, were its seed not fixed
@@ -104,20 +106,25 @@ def distributions(draw):
     return [weight / sum(weights) for weight in weights]
 
 
-NUMBERS = st.floats(0.0, 1.0, exclude_max=True) | st.just(float(np.nextafter(1.0, 0.0)))
+#: What a generator can give, in units of 2**-53
+NUMBERS = st.integers(0, 2**53 - 1) | st.sampled_from([0, 2**53 - 1])
 
 
-class Scripted:
-    """A generator that gives one number."""
+def about_to_give(number):
+    """
+    :param number: a whole number from 0, below 2**53
+    :return: a generator of NumPy's that gives the number in units of 2**-53 next, and its state as dynamics take it. The
+        state after the draw has a high half of 0, which leaves the low half as it is: it is the output
+    """
+    multiplier, increment = 0x2360ED051FC65DA44385DF649FCCF645, 1
+    state = ((number << 11) - increment) * pow(multiplier, -1, 2**128) % 2**128
+    generator, words = np.random.default_rng(0), np.empty(4, np.uint64)
+    generator.bit_generator.state = {**generator.bit_generator.state, "state": {"state": state, "inc": increment}}
+    read_pcg64(generator, words)
+    return generator, words
 
-    def __init__(self, number):
-        self.number = number
 
-    def random(self):
-        return self.number
-
-
-compiled_step = numba.njit(TabularDynamics.step)
+compiled_step = freeze(TabularDynamics.step)
 
 
 @numba.njit
@@ -136,27 +143,32 @@ class TestDrawing:
         rows = [[(p, i, float(i), False) for i, p in enumerate(probabilities)]]
         filler = [[[(1.0, 0, 0.0, True)]]] * (n - 1)
         table = read_table(TableEnv([rows, *filler], probabilities))
-        expected = categorical_sample(probabilities, Scripted(number))
-        next_state, reward, terminated = TabularDynamics.step(table, 0, 0, Scripted(number))
-        assert (next_state, reward, terminated) == (expected, expected, False)
-        assert TabularDynamics.reset(table, Scripted(number)) == expected
+        generator, words = about_to_give(number)
+        expected = categorical_sample(probabilities, generator)
+        with np.errstate(over="ignore"):
+            next_state, reward, terminated = TabularDynamics.step(table, 0, 0, words.copy())
+            assert (next_state, reward, terminated) == (expected, expected, False)
+            assert TabularDynamics.reset(table, words.copy()) == expected
 
     def test_a_number_above_a_sum_that_rounding_left_below_1_means_the_first(self):
         tenths, almost_1 = [0.1] * 10, float(np.nextafter(1.0, 0.0))
         assert np.cumsum(tenths)[-1] == almost_1
         rows = [[(p, i, 0.0, False) for i, p in enumerate(tenths)]]
         table = read_table(TableEnv([rows] + [[[(1.0, 0, 0.0, True)]]] * 9, tenths))
-        assert categorical_sample(tenths, Scripted(almost_1)) == 0
-        assert TabularDynamics.step(table, 0, 0, Scripted(almost_1))[0] == 0
-        assert TabularDynamics.reset(table, Scripted(almost_1)) == 0
-        below = float(np.nextafter(almost_1, 0.0))
-        assert TabularDynamics.step(table, 0, 0, Scripted(below))[0] == 9
+        generator, words = about_to_give(2**53 - 1)
+        assert about_to_give(2**53 - 1)[0].random() == almost_1
+        assert categorical_sample(tenths, generator) == 0
+        with np.errstate(over="ignore"):
+            assert TabularDynamics.step(table, 0, 0, words.copy())[0] == 0
+            assert TabularDynamics.reset(table, words.copy()) == 0
+            assert TabularDynamics.step(table, 0, 0, about_to_give(2**53 - 2)[1])[0] == 9
 
     @pytest.mark.parametrize("name", ["slippery lake", "large lake", "rainy Taxi", "slippery CliffWalking", "ragged"])
     def test_compiled_draws_follow_the_table(self, name):
         """In every state with every action; equal outcomes are counted as one."""
         env = ENVIRONMENTS[name]().unwrapped
-        table, generator = read_table(env), np.random.default_rng(0)
+        table, generator = read_table(env), np.empty(4, np.uint64)
+        read_pcg64(np.random.default_rng(0), generator)
         tables = []
         for state, action, outcomes in pairs(env):
             expected = Counter()

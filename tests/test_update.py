@@ -1,24 +1,19 @@
-"""The update as machine code: the same numbers as Python's, from the generator in force, into the table in force."""
+"""The update as machine code: the same numbers as Python's, from the counter in force, into the table in force."""
 
 import copy
-import functools
 import os
 import subprocess
 import sys
-from typing import NamedTuple
 
 import gymnasium as gym
-import numba
 import numpy as np
 import pytest
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper
 
-from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, LearningRateCallback, TabularQ, method, rules
-from sb3_adaptive_q.compilation import CachedFunction
-from sb3_adaptive_q.draws import Draws, addresses_of
-from sb3_adaptive_q.kernels import NEXT_ACTIONS
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, LearningRateCallback, TabularQ, method
+from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
 from sb3_adaptive_q.policies import TabularQPolicy
 
 LAKE = "FrozenLake-v1"
@@ -37,34 +32,12 @@ class At(BaseCallback):
         return True
 
 
-class TestDraws:
-    def test_they_are_the_generators_own(self):
-        ours, theirs = np.random.default_rng(0), np.random.default_rng(0)
-        draws = Draws(*addresses_of(ours))
-
-        @numba.njit
-        def compiled(next_double, state):
-            return Draws(next_double, state).random()
-
-        for _ in range(10):
-            assert draws.random() == theirs.random()
-            assert compiled(draws.next_double, draws.state) == theirs.random()
-            assert ours.random() == theirs.random()
-
-    def test_named_tuples_of_others_keep_a_field_of_that_name(self):
-        class Pair(NamedTuple):
-            random: int
-            other: int
-
-        assert numba.njit(lambda pair: pair.random)(Pair(1, 2)) == 1
-
-
 class TestWithoutCompiler:
     PROGRAM = """
 from sb3_adaptive_q import TabularQ
-for number in (None, 3, 5, 7):
-    model = TabularQ("MlpPolicy", "FrozenLake-v1", method=number, seed=0, initial_q=1.0).learn(2_000)
-    print(model.q_table.tobytes().hex(), model.mu, model._generator.random(), model._statistics.tolist())
+for method in (*range(1, 9), "delta_bar_delta", "idbd"):
+    model = TabularQ("MlpPolicy", "FrozenLake-v1", method=method, seed=0, initial_q=1.0).learn(2_000)
+    print(model.q_table.tobytes().hex(), model.training.record.tobytes().hex())
 """
 
     def test_python_gives_the_same_in_every_bit(self):
@@ -78,7 +51,7 @@ for number in (None, 3, 5, 7):
             ).stdout
             for switch in ("0", "1")
         )
-        assert machine_code == python and len(machine_code.splitlines()) == 4
+        assert machine_code == python and len(machine_code.splitlines()) == 10
 
     def test_a_compiled_environment_says_what_it_lacks(self):
         program = """
@@ -91,50 +64,21 @@ TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv))
         assert result.returncode == 1 and "please unset NUMBA_DISABLE_JIT" in result.stderr
 
 
-class TestCache:
-    @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), EOFError(), ModuleNotFoundError()])
-    def test_an_unusable_cache_is_done_without(self, error):
-        function = CachedFunction(lambda number: number + 1, nogil=True)
-        unusable = function.dispatcher
-
-        def use(dispatcher):
-            if dispatcher is unusable:
-                raise error
-            return dispatcher(1)
-
-        assert function.use(use) == 2
-        assert function(2) == 3
-
-
 class TestRules:
-    def test_a_wrapped_rule_of_the_package_runs_as_python(self):
-        seen = []
-
-        @functools.wraps(rules.constant_rate)
-        def logged(mu, transition, beta):
-            seen.append(mu)
-            return rules.constant_rate(mu, transition, beta)
-
-        class Logged(LearningRateCallback):
-            rule = staticmethod(logged)
-
-        TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Logged(beta=0.1))
-        assert seen[-50:] == [0.1] * 50
-
     def test_one_that_gives_no_number(self):
         class Forgetful(LearningRateCallback):
             @staticmethod
-            def rule(mu, transition):
+            def rule(mu, step):
                 return None
 
-        with pytest.raises(ValueError, match="Forgetful must give step sizes from 0 to 1, but gave None"):
+        with pytest.raises(TypeError, match="expected float64, got None"):
             TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Forgetful(mu_0=0.1))
         with pytest.raises(ValueError, match=r"Forgetful must give step sizes .* zeros, where training starts, it gave None"):
             Forgetful()
 
     def test_one_that_is_a_method(self):
         class Bound(LearningRateCallback):
-            def rule(self, mu, transition):
+            def rule(self, mu, step):
                 return 0.1
 
         with pytest.raises(ValueError, match="without `self`: please make it a `@staticmethod`"):
@@ -143,44 +87,40 @@ class TestRules:
     def test_a_parameter_that_is_no_number(self):
         class Listed(LearningRateCallback):
             @staticmethod
-            def rule(mu, transition, values):
+            def rule(mu, step, values):
                 return 0.1
 
-        with pytest.raises(ValueError, match=r"`values` must be finite and a number, for the rule of .*Listed, but got \[1\]"):
+        with pytest.raises(ValueError, match=r"`values` must be a finite number, for .*Listed, but got \[1\]"):
             Listed(mu_0=0.1, values=[1])
 
     @pytest.mark.parametrize("kind", [LeanVecEnv, CompiledVecEnv])
     def test_one_that_is_installed_in_the_middle_brings_its_constants(self, kind):
         """Which action's value it sees, and whether μ starts anew with every episode."""
-        rate = method(7, next_action="max", reset_each_episode=True).rate
-        callback = At(5, lambda model: model.install_rate(rate, restart=True))
+        other = method(7, next_action="max", reset_each_episode=True).method
+        callback = At(5, lambda model: model.install_method(other, restart=True))
         model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=kind), seed=0, callback_interval=10)
         model.learn(100, callback=callback)
-        learner = callback.locals["rollout"].learner
-        assert (learner.next_action, learner.reset_each_episode) == (NEXT_ACTIONS["max"], True)
+        record = model.training.record
+        assert (record["next_action"][0], record["resets_mu"][0]) == (NEXT_ACTIONS["max"], 1)
 
     def test_more_steps_than_fit_into_64_bits(self):
         model = TabularQ("MlpPolicy", LAKE, seed=0, total_episodes=3).learn(10**19)
         assert model._episode_num == 3
 
 
-class TestGenerator:
-    def test_a_new_one_is_drawn_from(self):
-        """The old one is freed, so that machine code which went on with its address would draw from anything."""
+class TestCounter:
+    @pytest.mark.parametrize("kind", [LeanVecEnv, CompiledVecEnv])
+    def test_one_that_is_set_in_the_middle_is_drawn_from(self, kind):
+        """SplitMix64 adds the golden ratio to its counter at every draw, so that the difference counts the draws."""
 
         def replace(model):
-            model._generator = np.random.default_rng(5)
+            model.training.draws[0] = 5
 
-        model = TabularQ("MlpPolicy", LAKE, seed=0, exploration_final_eps=1.0)
-        model.learn(500, callback=At(100, replace))
-        drawn = np.random.default_rng(5)
-        for _ in range(10_000):
-            if drawn.bit_generator.state == model._generator.bit_generator.state:
-                break
-            drawn.random()
-        else:
-            pytest.fail("the new generator was not drawn from, or not it alone")
-        assert drawn.bit_generator.state != np.random.default_rng(5).bit_generator.state
+        env = make_vec_env(LAKE, vec_env_cls=kind)
+        model = TabularQ("MlpPolicy", env, seed=0, exploration_final_eps=1.0, callback_interval=100)
+        model.learn(500, callback=At(100 if kind is LeanVecEnv else 1, replace))
+        draws = (int(model.training.draws[0]) - 5) * pow(0x9E3779B97F4A7C15, -1, 2**64) % 2**64
+        assert 400 <= draws <= 2 * 401 + 100
 
 
 class TestPolicy:
@@ -249,6 +189,9 @@ class TestProtocol:
         assert TabularQ("MlpPolicy", LAKE, seed=0).learn(20, callback=Careless()).num_timesteps == 20
 
 
-def test_statistics_of_a_copy_are_those_of_the_model():
+def test_the_scalars_of_a_copy_are_those_of_the_model():
     model = TabularQ("MlpPolicy", LAKE, seed=0, method=7).learn(500, log_interval=None)
-    assert copy.deepcopy(model)._statistics.tolist() == model._statistics.tolist() != [0.0] * 4
+    twin = copy.deepcopy(model)
+    assert twin.training.record.tobytes() == model.training.record.tobytes()
+    model.learn(10)
+    assert twin.training.record.tobytes() != model.training.record.tobytes()

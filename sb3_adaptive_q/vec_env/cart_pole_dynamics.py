@@ -7,14 +7,17 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
+from sb3_adaptive_q.compiled.loops import check_nothing
 from sb3_adaptive_q.envs.cartpole_friction import CartPoleFrictionEnv, friction_dynamics, is_within_limits
-from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, as_float32, find_no_flaw, grid_index, register_dynamics
+from sb3_adaptive_q.random_numbers import random_float
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, as_float32, grid_index, register_dynamics
 
 
 class _CartPoleDynamics(Dynamics):
     """What both Cart Poles have in common: the start, and the cells."""
 
-    flaw = staticmethod(find_no_flaw)  # the grid covers every observation, the rewards are constants
+    check = staticmethod(check_nothing)  # the grid covers every observation, the rewards are constants
+    draws_from_words = True
 
     def __init__(self, env: gym.Env, grid: Grid | None) -> None:
         super().__init__(env, grid)
@@ -30,10 +33,10 @@ class _CartPoleDynamics(Dynamics):
         """Uniform in ±0.05, drawn as ``Generator.uniform`` draws it."""
         low, width = -0.05, 0.05 - -0.05
         return (
-            low + width * generator.random(),
-            low + width * generator.random(),
-            low + width * generator.random(),
-            low + width * generator.random(),
+            low + width * random_float(generator),
+            low + width * random_float(generator),
+            low + width * random_float(generator),
+            low + width * random_float(generator),
         )
 
     @staticmethod

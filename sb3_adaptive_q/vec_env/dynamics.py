@@ -1,12 +1,14 @@
 """What a compiled environment is: three plain functions, their parameters, and a way to and from the Python object."""
 
+import inspect
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
-from sb3_adaptive_q.compilation import FunctionSet
+from sb3_adaptive_q.compiled.loops import check_transition
+from sb3_adaptive_q.compiled.places import empty_places, place_functions
 from wrappers import DiscretizeObservation
 
 DynamicsT = TypeVar("DynamicsT", bound="type[Dynamics]")
@@ -14,43 +16,21 @@ DynamicsT = TypeVar("DynamicsT", bound="type[Dynamics]")
 _registered: dict[type[gym.Env], "type[Dynamics]"] = {}
 
 
-#: What may be wrong with a transition, so that it must not reach the table
-SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE, RATE_OUT_OF_RANGE = range(4)
-
-
-def find_flaw(next_index, start_index, reward, n_states):
-    """
-    :param next_index: the row that a transition reached
-    :param start_index: the row that the environment is in now
-    :param reward: what the transition was rewarded with
-    :param n_states: the rows of the table
-    :return: what forbids learning from the transition, or ``SOUND``
-    """
-    if not (0 <= next_index < n_states and 0 <= start_index < n_states):
-        return STATE_OUT_OF_RANGE
-    return SOUND if np.isfinite(reward) else REWARD_NOT_FINITE
-
-
-def find_no_flaw(next_index, start_index, reward, n_states):
-    """
-    For dynamics whose rewards are finite and rows in range by construction, which saves one step in twenty.
-
-    :return: ``SOUND``
-    """
-    return SOUND
-
-
 class Dynamics:
     """
-    The compiled twin of an environment's ``reset`` and ``step``. A subclass has three static functions in the part of
-    Python that Numba compiles; a state is a number, or a tuple of floats:
+    An environment's ``reset`` and ``step`` as plain functions. A subclass has three static functions in the part of Python
+    that Numba compiles; a state is a whole number, or a tuple of up to eight floats:
 
-    - ``reset(parameters, generator) -> state``
+    - ``reset(parameters, generator) -> state``, or ``reset(parameters, state, generator) -> state`` where something outlasts
+      an episode; the state is the one in which it ended
     - ``step(parameters, state, action, generator) -> (state, reward, terminated)``; actions count from 0
     - ``index(parameters, state) -> row of the table``
 
     ``generator`` is the environment's own ``np_random``. The functions have to draw from it what the environment draws,
     in its order, and to compute in the environment's order of operations: then every path gives the same bits.
+
+    With ``draws_from_words = True``, ``generator`` is the state of that generator as four numbers, from which
+    :func:`sb3_adaptive_q.random_numbers.random_float` draws the same: the fastest way, where ``random`` is all that is drawn.
 
     :param env: the environment without its wrappers
     :param grid: the edges of the :class:`wrappers.DiscretizeObservation` around it, if there is one
@@ -61,7 +41,8 @@ class Dynamics:
     step: ClassVar[Callable[..., Any]]
     index: ClassVar[Callable[..., int]]
     #: What is checked of every transition
-    flaw: ClassVar[Callable[..., int]] = staticmethod(find_flaw)
+    check: ClassVar[Callable[..., int]] = staticmethod(check_transition)
+    draws_from_words: ClassVar[bool] = False
     #: What the functions need to know, as a named tuple of numbers and arrays
     parameters: Any
 
@@ -80,18 +61,54 @@ class Dynamics:
         """
         self.env.state = np.array(state)  # type: ignore[attr-defined]
 
-    def function_set(self) -> FunctionSet:
+    def empty_places(self, n_envs: int) -> np.ndarray:
         """
-        :return: the functions as compiled code takes them
+        :param n_envs: the number of environments
+        :return: the array for their states, of shape (n_envs, size of a state)
         """
-        return FunctionSet(
-            f"{type(self).__module__}:{type(self).__qualname__}",
-            container=type(self.parameters),
-            reset=self.reset,
-            step=self.step,
-            index=self.index,
-            flaw=self.flaw,
-        )
+        return empty_places(n_envs, self.read_state())
+
+    def state_of(self, row: np.ndarray) -> Any:
+        """
+        :param row: a row of the array of states
+        :return: the state in it
+        """
+        return tuple(row.tolist()) if isinstance(self.read_state(), tuple) else int(row[0])
+
+    def reset_function(self) -> Callable[..., Any]:
+        """
+        :return: ``reset`` as a function of the parameters, the state in which the last episode ended, and the generator
+        """
+        if len(inspect.signature(self.reset).parameters) == 3:
+            return self.reset
+        reset = self.reset
+
+        def reset_anew(parameters, state, generator):
+            return reset(parameters, generator)
+
+        return reset_anew
+
+    def loop_functions(self) -> tuple[Callable[..., Any], ...]:
+        """
+        :return: what a learning loop is made of: reset, step, index, load and store of the state, the name of the parameters,
+            and the check of a transition
+        """
+        load, store = place_functions(self.read_state())
+        return self.reset_function(), self.step, self.index, load, store, _name_parameters(type(self.parameters)), self.check
+
+
+def _name_parameters(container: type) -> Callable[..., Any]:
+    if container is tuple:
+
+        def as_tuple(*parameters):
+            return parameters
+
+        return as_tuple
+
+    def as_named_tuple(*parameters):
+        return container(*parameters)
+
+    return as_named_tuple
 
 
 def register_dynamics(env_class: type[gym.Env]) -> Callable[[DynamicsT], DynamicsT]:

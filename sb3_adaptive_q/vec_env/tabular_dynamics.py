@@ -5,8 +5,13 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
+from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
+from gymnasium.envs.toy_text.taxi import TaxiEnv
 
-from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_no_flaw
+from sb3_adaptive_q.compiled.loops import check_nothing
+from sb3_adaptive_q.random_numbers import random_float
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid
 
 #: A VecEnv hands rewards on as float32
 LARGEST_REWARD = float(np.finfo(np.float32).max)
@@ -15,6 +20,12 @@ LARGEST_REWARD = float(np.finfo(np.float32).max)
 OUTCOME = np.dtype(
     [("cumulative", np.float64), ("reward", np.float64), ("next_state", np.int64), ("terminated", np.bool_)], align=True
 )
+
+#: gymnasium's environments that step by their tables, and do nothing else
+_BY_TABLE = (FrozenLakeEnv, TaxiEnv, CliffWalkingEnv)
+
+#: The table read last for a class of environments, with what it was read from
+_tables: dict[type, tuple[Any, "TransitionTable"]] = {}
 
 #: Up to how many outcomes machine code is made for their number
 MOST_UNROLLED = 8
@@ -47,7 +58,8 @@ class TabularDynamics(Dynamics):
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
 
-    flaw = staticmethod(find_no_flaw)  # the table is checked once, here
+    check = staticmethod(check_nothing)  # the table is checked when it is read
+    draws_from_words = True
 
     def __init__(self, env: gym.Env, grid: Grid | None) -> None:
         super().__init__(env, grid)
@@ -67,13 +79,13 @@ class TabularDynamics(Dynamics):
     @staticmethod
     def reset(parameters, generator):
         """Draw the first state, as gymnasium's ``categorical_sample`` does."""
-        state = np.searchsorted(parameters.initial, generator.random(), side="right")
+        state = np.searchsorted(parameters.initial, random_float(generator), side="right")
         return state if state < parameters.initial.shape[0] else 0
 
     @staticmethod
     def step(parameters, state, action, generator):
         """Draw an outcome. Counting without a branch is fastest for a handful of them."""
-        number = generator.random()
+        number = random_float(generator)
         outcome = 0
         for i in range(len(parameters.comparisons) or parameters.outcomes.shape[2] - 1):
             outcome += 1 if parameters.outcomes[state, action, i]["cumulative"] <= number else 0
@@ -94,12 +106,53 @@ def has_table(env: gym.Env) -> bool:
     return all(hasattr(env, name) for name in ("P", "initial_state_distrib"))
 
 
+def steps_by_table(env: gym.Env) -> bool:
+    """
+    :param env: an environment without its wrappers
+    :return: whether its class is known to step by its table alone, or says so
+    """
+    kind = type(env)
+    if getattr(kind, "compile_by_table", False):
+        return True
+    if getattr(env, "fickle_passenger", False):  # Taxi then moves by more than its table
+        return False
+    return any(kind.step is known.step and kind.reset is known.reset for known in _BY_TABLE)
+
+
 def read_table(env: Any) -> TransitionTable:
     """
     :param env: an environment with ``P`` and ``initial_state_distrib``
-    :return: both as arrays
+    :return: both as arrays; those of the last call for its class, where nothing has changed
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
+    contents = _contents(env)
+    known = _tables.get(type(env))
+    if known is not None and contents is not None and _are_equal(known[0], contents):
+        return known[1]
+    table = _read_table(env)
+    if contents is not None:
+        _tables[type(env)] = (contents, table)
+    return table
+
+
+def _contents(env: Any) -> Any:
+    """What the table of an environment holds, safe from later changes; ``None`` where it is kept in another way."""
+    try:
+        rows = {state: {action: list(outcomes) for action, outcomes in row.items()} for state, row in env.P.items()}
+    except (AttributeError, TypeError):
+        return None
+    sizes = getattr(env.observation_space, "n", None), getattr(env.action_space, "n", None)
+    return rows, list(env.initial_state_distrib), sizes, repr(env.observation_space)
+
+
+def _are_equal(contents: Any, others: Any) -> bool:
+    try:
+        return bool(contents == others)
+    except ValueError:  # an array among the numbers
+        return False
+
+
+def _read_table(env: Any) -> TransitionTable:
     n_states, n_actions = _count(env, "observation_space"), _count(env, "action_space")
     if not 1 <= len(env.initial_state_distrib) <= n_states:
         raise ValueError(

@@ -97,7 +97,7 @@ class Outcome(NamedTuple):
     n_episodes: int
     n_updates: int
     statistics: tuple[float, ...]
-    next_number: float
+    counter: int
     returns: np.ndarray
     lengths: np.ndarray
     rates: np.ndarray
@@ -122,8 +122,8 @@ def learn(model: TabularQ, total_timesteps: int, callback: Any = None, **argumen
         model.num_timesteps,
         model._episode_num,
         model._n_updates,
-        tuple(model._statistics.tolist()),
-        model._generator.random(),  # equal numbers here: as many were drawn
+        tuple(model.training.record[0][name].item() for name in ("mu_sum", "mu_min", "mu_max", "td_error_sum")),
+        int(model.training.draws[0]),  # equal here: as many numbers were drawn
         series.returns,
         series.lengths,
         series.rates,

@@ -125,3 +125,21 @@ def learn_by_the_paper(
             states[i], actions[i] = reached, upcoming
         moments.append(Moment([list(row) for row in table], mu))
     return moments
+
+
+class SplitMix64:
+    """
+    The agent's random numbers, in Python's integers (Steele, Lea and Flood, 2014).
+
+    :param counter: to begin with
+    """
+
+    def __init__(self, counter: int) -> None:
+        self.counter = counter
+
+    def random(self) -> float:
+        """:return: the next number in [0, 1)"""
+        self.counter = (self.counter + 0x9E3779B97F4A7C15) % 2**64
+        mixed = (self.counter ^ (self.counter >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+        mixed = (mixed ^ (mixed >> 27)) * 0x94D049BB133111EB % 2**64
+        return ((mixed ^ (mixed >> 31)) >> 11) / 2**53

@@ -20,6 +20,7 @@ class TableEnv(gym.Env):
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012, as in gymnasium
+    compile_by_table = True
 
     def __init__(self, table: Sequence[Sequence[Outcomes]], initial: Sequence[float]) -> None:
         self.P = {state: dict(enumerate(row)) for state, row in enumerate(table)}

@@ -1,0 +1,549 @@
+"""What all tabular algorithms share: the interface of Stable-Baselines3, and the learning loop."""
+
+import threading
+import warnings
+import weakref
+from collections.abc import Callable
+from math import inf
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm, maybe_make_env
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import is_wrapped
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
+from stable_baselines3.common.utils import get_device
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.patch_gym import _patch_env
+
+from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays, note_mask
+from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
+from sb3_adaptive_q.installed_method import check_step_size
+from sb3_adaptive_q.logs import record_logs
+from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions, greedy
+from sb3_adaptive_q.random_numbers import first_counter
+from sb3_adaptive_q.resume import Resumable, Unfinished
+from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
+from sb3_adaptive_q.rollouts.step_rollout import StepRollout
+from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.step_size_in_force import StepSizeInForce
+from sb3_adaptive_q.training_state import TrainingState, integer_of_state
+from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+
+SelfTabularAlgorithm = TypeVar("SelfTabularAlgorithm", bound="TabularAlgorithm")
+
+#: More steps than are ever taken, and few enough for 64 bits
+NO_END = 2**62
+
+#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
+_SETTING_UP = threading.Lock()
+
+
+class _Training:
+    """One call of ``learn``."""
+
+
+class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
+    """
+    An algorithm that learns a table of action values, under the interface of Stable-Baselines3.
+
+    A subclass needs one attribute, :attr:`update`, a plain function of numbers and arrays; see
+    :func:`sb3_adaptive_q.algorithms.q_learning.q_learning` for its arguments. It may also declare further tables, arrays of a
+    training and parameters, with the methods and attributes of the section "For subclasses" below.
+
+    :param policy: ``"MlpPolicy"``, which is the table; the name is SB3's, no network is involved
+    :param env: the environment to learn from, or its id; ``None`` for a model that is only loaded to predict
+    :param learning_rate: the step size μ, from 0 to 1, where no method is installed: a number, or a function of the
+        remaining progress (from 1 to 0)
+    :param gamma: the discount factor γ; like the exploration's arguments, read when ``learn`` is called
+    :param method: the number of the paper's method to install, 1 to 8, or the name of a step size of the literature;
+        ``None`` for ``learning_rate``. A method handed to ``learn`` as a callback replaces it
+    :param method_kwargs: what shall differ from the method's defaults, as in :func:`sb3_adaptive_q.method`
+    :param exploration: ``"epsilon_greedy"``, or ``"boltzmann"``, whose temperature the exploration rate then is
+    :param ties: which of several best actions is taken while learning: ``"random"`` for any, ``"first"`` for the first.
+        Targets and ``predict(deterministic=True)`` always take the first
+    :param exploration_schedule: how the exploration rate falls: ``"linear"``, ``"exponential"``, ``"constant"``, or a plain
+        function of the progress (from 0 to 1)
+    :param exploration_fraction: the fraction of the training over which the exploration rate falls
+    :param exploration_initial_eps: the exploration rate at the start
+    :param exploration_final_eps: the exploration rate at the end
+    :param initial_q: what the table starts from: a number, or an array of shape (n_states, n_actions)
+    :param total_episodes: where given, learning ends after that many episodes, and these are what progress counts:
+        the exploration rate and the methods' t / t_max are constant within an episode
+    :param callback_interval: on a compiled environment, the steps of every environment between two calls of a callback
+        of your own; ``None`` for 1 000 000 transitions of all environments together. Elsewhere callbacks are called at
+        every step
+    :param stats_window_size: the episodes over which the logged means are taken
+    :param tensorboard_log: the folder for TensorBoard's files; ``None`` for none
+    :param policy_kwargs: further arguments of the policy
+    :param verbose: 0 for no output, 1 for the log and what is being wrapped, 2 for debugging
+    :param seed: of the agent's random numbers and the environment
+    :param device: ``"auto"`` and ``"cpu"`` mean the CPU: the table is worked on in place there
+    :param _init_setup_model: whether to build the table now
+    :param use_masking: whether to keep to the actions that ``info["action_mask"]`` of every reset and step allows, in
+        behaviour and targets. A mask must be a function of the state. Compiled environments give none
+    :raises ValueError: if an argument lies outside its range, or the environment's spaces are not supported
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": MlpPolicy}
+    policy: TabularQPolicy
+
+    # For subclasses
+    #: The update, a plain function
+    update: ClassVar[Callable[..., Any]]
+    #: How many tables the step size has memory for
+    n_tables: ClassVar[int] = 1
+    #: Whether an update changes one entry of ``q_table`` and nothing else, so that a refused one can be taken back
+    updates_one_entry: ClassVar[bool] = True
+    #: Whether the next action is drawn from the table before the update
+    chooses_before_update: ClassVar[bool] = False
+
+    def update_function(self) -> Callable[..., Any]:
+        """
+        :return: the update, where arguments of the constructor decide between several functions
+        """
+        return self.update
+
+    def extra_tables(self, n_states: int, n_actions: int) -> dict[str, tuple[int, ...]]:
+        """
+        :param n_states: rows of the table
+        :param n_actions: columns of the table
+        :return: the shapes of further tables by name. They are float64, start from ``initial_q``, and are saved
+        """
+        return {}
+
+    def working_arrays(self, n_envs: int, n_states: int, n_actions: int) -> dict[str, np.ndarray]:
+        """
+        :param n_envs: the number of environments
+        :param n_states: rows of the table
+        :param n_actions: columns of the table
+        :return: arrays that the update works with in the course of episodes, such as traces, by name
+        """
+        return {}
+
+    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """
+        Check arrays that were read from a file, whose numbers machine code looks up without a check.
+
+        :param arrays: of the names, shapes and types of :meth:`working_arrays`
+        :raises ValueError: if the update cannot go on with them
+        """
+        if self.use_masking:
+            check_mask(arrays[ALLOWED], self.q_table.shape, "the file")
+
+    def update_parameters(self) -> tuple[float, ...]:
+        """
+        :return: the numbers that the update finds in ``agent.parameters``, such as λ
+        """
+        return ()
+
+    # The state of a training, kept where machine code reads and writes it
+    num_timesteps: int = integer_of_state("num_timesteps", "Environment steps taken.")
+    _episode_num: int = integer_of_state("n_episodes", "Episodes finished.")
+    _n_updates: int = integer_of_state("n_updates", "Transitions learned from.")
+
+    def __init__(
+        self,
+        policy: str | type[TabularQPolicy],
+        env: GymEnv | str | None,
+        learning_rate: float | Schedule = 0.01,
+        gamma: float = 0.99,
+        method: int | str | None = None,
+        method_kwargs: dict[str, Any] | None = None,
+        exploration_fraction: float = 1.0,
+        exploration_initial_eps: float = 1.0,
+        exploration_final_eps: float = 0.05,
+        initial_q: Any = 0.0,
+        total_episodes: int | None = None,
+        callback_interval: int | None = None,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: th.device | str = "auto",
+        _init_setup_model: bool = True,
+        exploration: str = "epsilon_greedy",
+        ties: str = "random",
+        exploration_schedule: str | Callable[[float], float] = "linear",
+        use_masking: bool = False,
+    ) -> None:
+        self.training = TrainingState()
+        super().__init__(
+            # The class rather than its name: SB3 would advise on dict observations by the name
+            self._get_policy_from_name(policy) if isinstance(policy, str) else policy,
+            env,
+            learning_rate,
+            policy_kwargs=policy_kwargs,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            verbose=verbose,
+            device=_cpu(device),
+            support_multi_env=True,
+            seed=seed,
+        )
+        self.gamma = gamma
+        self.method = method
+        self.method_kwargs = method_kwargs
+        self.exploration = exploration
+        self.ties = ties
+        self.exploration_schedule = exploration_schedule
+        self.use_masking = use_masking
+        self.exploration_fraction = exploration_fraction
+        self.exploration_initial_eps = exploration_initial_eps
+        self.exploration_final_eps = exploration_final_eps
+        self.initial_q = initial_q
+        self.total_episodes = total_episodes
+        self.callback_interval = callback_interval
+        #: The callbacks that keep every episode
+        self.episode_series: list[EpisodeSeriesCallback] = []
+        self._rollout: StepRollout | None = None
+        self._unfinished: Unfinished | None = None
+        self._working: dict[str, np.ndarray] = {}
+        self._next_actions: np.ndarray | None = None
+        self._log_interval: int | None = None
+        self._last_dump = 0
+        if self.env is not None:
+            StateIndex(self.observation_space)
+            count_actions(self.action_space)
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        self._check_arguments()
+        self._setup_lr_schedule()
+        self._known_learning_rate = self.learning_rate
+        self.set_random_seed(self.seed)
+        self.policy = self.policy_class(  # type: ignore[assignment]
+            self.observation_space, self.action_space, self.lr_schedule, initial_q=self.initial_q, **self.policy_kwargs
+        ).to(self.device)
+        self.policy.declare(self.extra_tables(self.policy.n_states, self.policy.n_actions), self.initial_q)
+        self._share_mu()
+        self._learning: weakref.ref[_Training] | None = None
+        #: For each environment, the values that its last action was chosen from
+        self.considered = np.zeros((self.n_envs, self.policy.n_actions))
+        self._install_own_method()
+        self._choose_functions()
+
+    def _share_mu(self) -> None:
+        """Let the policy's ``mu`` and the training state's be the same memory: the policy may be another one by now."""
+        own = th.from_numpy(self.training.record["mu"])
+        if self.policy.mu.data_ptr() != own.data_ptr():
+            own[:] = self.policy.mu
+            self.policy.mu = own
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_learning", "_rollout", "choices")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._learning = self._rollout = None
+        if "policy" in state:
+            self._share_mu()
+            self._choose_functions()
+
+    def _check_arguments(self) -> None:
+        for name in ("gamma", "exploration_fraction"):
+            check_step_size(name, getattr(self, name))
+        self._check_exploration()
+        check_step_size("learning_rate", self.learning_rate(1.0) if callable(self.learning_rate) else self.learning_rate)
+        if self.method is None and self.method_kwargs:
+            raise ValueError(
+                f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
+            )
+        if "initial_q" in self.policy_kwargs:
+            raise ValueError(
+                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
+            )
+        for name in ("total_episodes", "callback_interval"):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
+                raise ValueError(f"`{name}` must be at least 1, or None, and a whole number, but got {value}.")
+        if not np.isfinite(self.initial_q).all():
+            raise ValueError(f"`initial_q` must be finite, but got {self.initial_q}.")
+
+    @property
+    def q_table(self) -> np.ndarray:
+        """
+        The live table of action values, of shape (n_states, n_actions). Another table may be assigned: its values are copied.
+        """
+        return self.policy.q_table.numpy()
+
+    @q_table.setter
+    def q_table(self, values: Any) -> None:
+        values = np.asarray(values, dtype=np.float64)
+        if values.shape != self.q_table.shape or not np.isfinite(values).all():
+            raise ValueError(
+                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape "
+                f"{values.shape}{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
+            )
+        self.q_table[:] = values
+        for name in self.extra_tables(*values.shape):
+            getattr(self.policy, name).numpy()[:] = values
+
+    def learning_arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[Any, ...]]:
+        """
+        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
+            of the algorithm, all as machine code takes them
+        :raises ValueError: if a table of the policy was replaced by one of another kind
+        """
+        shape = (self.policy.n_states, self.policy.n_actions)
+        shapes = {"q_table": shape, **self.extra_tables(*shape)}
+        tables = [getattr(self.policy, name).numpy() for name in shapes]
+        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
+            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
+                raise ValueError(
+                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
+                    f"and of shape {table.shape}: please put such a tensor into the policy."
+                )
+        return (*tables, *self._working.values()), (*self._step_size_memory(), self._update_parameters)
+
+    def learn(
+        self: SelfTabularAlgorithm,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int | None = 300,
+        tb_log_name: str | None = None,
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> SelfTabularAlgorithm:
+        """
+        Learn until ``total_timesteps`` or, where the constructor had ``total_episodes``, that many episodes are done.
+
+        :param total_timesteps: the environment steps to learn from; with n environments, a multiple of n that reaches it
+        :param callback: called after every step, before the update that it leads to
+        :param log_interval: the episodes between two entries of the log; ``None`` for no log
+        :param tb_log_name: the name of the run in TensorBoard; ``None`` for the names of algorithm and method
+        :param reset_num_timesteps: whether to count steps and episodes, and a method's μ and memory, from the start again
+        :param progress_bar: whether to show one
+        :return: the model
+        :raises ValueError: if there is no environment, there are two methods among the callbacks, or a reward is not a
+            finite number
+        :raises RuntimeError: if the model is learning already
+        """
+        training = self._claim()
+        try:
+            total_timesteps, callback = self._begin(
+                total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
+            )
+            step_locals = locals()
+            callback.on_training_start(step_locals, globals())
+            self._rollout = rollout = self._make_rollout(callback, step_locals)
+            if self._take_up(rollout):
+                self._learn_from(rollout, log_interval)
+            while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
+                callback.on_rollout_start()
+                rollout.advance()
+                callback.update_locals(step_locals)
+                if not callback.on_step():
+                    rollout.abandon()
+                    break
+                self._learn_from(rollout, log_interval)
+                callback.on_rollout_end()
+            self._rollout = None
+            if log_interval is not None and self._n_updates > self.training.record["n_logged"][0]:
+                self.dump_logs()
+            callback.on_training_end()
+        except BaseException:
+            self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
+            raise
+        finally:
+            self._learning = self._rollout = self._unfinished = None
+            del training
+        return self
+
+    def _claim(self) -> _Training:
+        """
+        Mark the model as learning, by a weak reference to what the caller holds: even where an interrupt keeps the caller from
+        taking the mark off, it ends with the call.
+        """
+        training = _Training()
+        with _SETTING_UP:
+            if self._learning is not None and self._learning() is not None:
+                raise RuntimeError(
+                    "This model is learning already: a callback or another thread cannot let it learn once more."
+                )
+            self._learning = weakref.ref(training)
+        return training
+
+    def _learn_from(self, rollout: StepRollout, log_interval: int | None) -> None:
+        rollout.learn()
+        self._current_progress_remaining = 1.0 - self._progress
+        if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
+            self.dump_logs()
+
+    def _begin(
+        self, total_timesteps: int, callback: MaybeCallback, log_interval: int | None, tb_log_name: str | None,
+        reset_num_timesteps: bool, progress_bar: bool,
+    ) -> tuple[int, BaseCallback]:  # fmt: skip
+        """Check and set up what a training needs, before any callback is called."""
+        check_callback(callback)
+        if self.env is None:
+            raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
+        if log_interval is not None and log_interval < 1:
+            raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
+        self._check_arguments()
+        self.check_functions_found(callback)
+        self._log_interval = log_interval
+        self._share_mu()
+        restart = reset_num_timesteps or self._last_obs is None
+        if restart:
+            self._next_actions = None
+        self.episode_series = []
+        with _SETTING_UP:
+            total_timesteps, callback = self._setup_learn(
+                total_timesteps, callback, reset_num_timesteps, tb_log_name or self._run_name(), progress_bar
+            )
+        if reset_num_timesteps:
+            self._last_dump = 0
+            self.training.forget_updates()
+        self._prepare_update()
+        if restart and self.use_masking:
+            states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
+            for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
+                note_mask(self._working[ALLOWED], state, info)
+        self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
+        record = self.training.record
+        record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
+        record["total_episodes"] = self._total_episodes if self.total_episodes else 0
+        self._start_step_size(reset_num_timesteps)
+        self._start_exploration()
+        self._go_on(reset_num_timesteps)
+        return total_timesteps, callback
+
+    def _prepare_update(self) -> None:
+        """
+        Fix what the update works with for this call of ``learn``. Arrays that belong to episodes start anew where these do,
+        and where a parameter has changed that decides on their size.
+        """
+        self._update_parameters = tuple(map(float, self.update_parameters()))
+        working = self.new_working_arrays()
+        if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
+            # The masks belong to the states
+            self._working = working | {name: array for name, array in self._working.items() if name == ALLOWED}
+
+    def new_working_arrays(self) -> dict[str, np.ndarray]:
+        """
+        :return: the arrays that the update works with in the course of episodes, and those for action masks, as they begin
+        """
+        shape = self.q_table.shape
+        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(*shape) if self.use_masking else {})
+
+    def was_exploratory(self) -> np.ndarray:
+        """
+        For a callback, on an ordinary environment: whether the action that each environment took last was exploratory, which
+        means not among the best by the table that it was chosen from.
+
+        :return: of shape (n_envs,)
+        :raises RuntimeError: on a compiled environment, where a callback sees the end of many steps, or before any action
+        """
+        if isinstance(self.env, CompiledVecEnv) or self._next_actions is None:
+            raise RuntimeError("Exploratory actions are known while `learn` steps an ordinary environment: use LeanVecEnv.")
+        taken = self.considered[np.arange(self.n_envs), self._next_actions]
+        return taken < self.considered.max(axis=1)
+
+    def _run_name(self) -> str:
+        name = type(self).__name__
+        return name if self._method is None else f"{name}_{self._method.data.label}"
+
+    def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
+        if self.use_masking and isinstance(self.env, CompiledVecEnv):
+            raise ValueError("Compiled environments give no action masks: use LeanVecEnv, or leave `use_masking` out.")
+        if not isinstance(self.env, CompiledVecEnv):
+            if isinstance(self.env, VecEnvWrapper) and isinstance(self.env.unwrapped, CompiledVecEnv):
+                warnings.warn(
+                    f"A CompiledVecEnv inside a {type(self.env).__name__} is stepped like any other environment: for "
+                    "compiled rollouts, hand it over without a wrapper.",
+                    stacklevel=3,
+                )
+            return StepRollout(self, step_locals)
+        warn_of_rare_calls(self, callback)
+        return CompiledRollout(self, step_locals, callback)
+
+    def dump_logs(self) -> None:
+        """Write the means over the last episodes, and over the updates since the last time, to the log."""
+        record_logs(self)
+        self._last_dump = self._episode_num
+
+    def predict(
+        self,
+        observation: np.ndarray | dict[str, np.ndarray],
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = False,
+        action_masks: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
+        """
+        The greedy action; with ``deterministic=False`` what the behaviour policy does, at the exploration rate in force.
+
+        :param observation: one observation or a batch of them
+        :param state: handed back as it is
+        :param episode_start: unused
+        :param deterministic: whether to leave exploration out
+        :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
+            ``None`` allows all
+        :return: the action, a scalar for one observation, or the batch of actions; and ``state``
+        :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
+        """
+        choose = greedy if deterministic else self._explore
+        return self.policy.predict(observation, state, episode_start, deterministic, action_masks, choose)
+
+    def _explore(self, rows: np.ndarray) -> np.ndarray:
+        """The behaviour policy's actions by the values of each state, which are minus infinity for forbidden actions."""
+        generator = self._predict_generator
+        if self.exploration == "boltzmann" and self.exploration_rate > 0.0:
+            # With Gumbel noise, the largest one is a draw from the Boltzmann policy
+            return (rows / self.exploration_rate + generator.gumbel(size=rows.shape)).argmax(axis=1)
+        random_actions = np.where(rows == -inf, -1.0, generator.random(rows.shape)).argmax(axis=1)
+        explores = generator.random(len(rows)) < self.exploration_rate
+        return np.where(explores, random_actions, rows.argmax(axis=1))
+
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """
+        Seed the environment, the agent's counter to learn with, and a generator for :meth:`predict`, so that an evaluation in
+        between leaves the learning as it would be without.
+
+        :param seed: the seed; ``None`` for fresh entropy, which leaves the environment's generator alone
+        """
+        super().set_random_seed(seed)
+        # Spawned, because an environment that is seeded with the same number draws from SeedSequence(seed) itself
+        learning, predicting = np.random.SeedSequence(seed).spawn(2)
+        self.training.record["counter"] = first_counter(learning)
+        self._predict_generator = np.random.default_rng(predicting)
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        super().set_env(env, force_reset)
+        self._next_actions = None
+
+    @staticmethod
+    def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
+        env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
+        if not isinstance(env, VecEnv):
+            env = _patch_env(env)
+            if not is_wrapped(env, Monitor) and monitor_wrapper:
+                if verbose >= 1:
+                    print("Wrapping the env with a `Monitor` wrapper")
+                env = Monitor(env)
+            if verbose >= 1:
+                print("Wrapping the env in a LeanVecEnv.")
+            wrapped = env
+            env = LeanVecEnv([lambda: wrapped])
+        return BaseAlgorithm._wrap_env(env, verbose, monitor_wrapper)
+
+    def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
+        if policy_name not in self.policy_aliases:
+            raise ValueError(f"Policy {policy_name} unknown: use one of {', '.join(self.policy_aliases)}.")
+        return self.policy_aliases[policy_name]
+
+
+def _shapes_of(arrays: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+    return {name: array.shape for name, array in arrays.items()}
+
+
+def _cpu(device: th.device | str) -> th.device | str:
+    if device != "auto" and get_device(device).type != "cpu":
+        warnings.warn(f"The table's memory is worked on in place, on the CPU; device={device} is ignored.", stacklevel=3)
+    return "cpu"

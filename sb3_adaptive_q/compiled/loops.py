@@ -1,0 +1,379 @@
+"""
+The learning loops, made of an algorithm, a step size, a behaviour policy and an environment: all of them plain functions.
+
+A *factory* closes over the functions and returns the loop, an ordinary Python function of numbers and arrays;
+:mod:`sb3_adaptive_q.compiled.jit` makes machine code of it. The same :func:`make_learn_one` serves a transition of an
+ordinary environment and the loops with a compiled one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sb3_adaptive_q.algorithms.td_update import Agent, Memory, Transition
+from sb3_adaptive_q.random_numbers import uniform  # noqa: F401  # compiled with every loop
+from sb3_adaptive_q.step_sizes.step import Step
+
+#: What may be wrong with a transition or with what was computed from it
+SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE, STEP_SIZE_OUT_OF_RANGE, RULE_OUT_OF_RANGE, EXPLORATION_OUT_OF_RANGE = range(6)
+
+#: The scalars of a learner: what a training holds fixed, what every transition moves, and the agent's random counter
+LEARNER = np.dtype(
+    [
+        ("gamma", np.float64), ("exploration_initial", np.float64), ("exploration_final", np.float64),
+        ("exploration_fraction", np.float64), ("mu_0", np.float64), ("total_timesteps", np.int64),
+        ("total_episodes", np.int64), ("next_action", np.int64), ("resets_mu", np.int64), ("holds_mu", np.int64),
+        ("holds_epsilon", np.int64),
+        ("mu", np.float64), ("epsilon", np.float64), ("progress", np.float64), ("num_timesteps", np.int64),
+        ("n_episodes", np.int64), ("n_updates", np.int64), ("mu_sum", np.float64), ("mu_min", np.float64),
+        ("mu_max", np.float64), ("td_error_sum", np.float64), ("n_logged", np.int64), ("refused", np.float64),
+        ("value", np.float64), ("counter", np.uint64),
+    ]
+)  # fmt: skip
+#: An environment: its last transition, and the episode that it is in
+ENV = np.dtype(
+    [
+        ("state", np.int64), ("action", np.int64), ("reward", np.float64), ("next_state", np.int64),
+        ("terminated", np.bool_), ("done", np.bool_), ("start_state", np.int64), ("length", np.int64),
+        ("episode_return", np.float64),
+    ], align=True,
+)  # fmt: skip
+#: A finished episode: sum of rewards, steps, μ and ε in force at its last transition, number of the environment
+EPISODE = np.dtype(
+    [
+        ("episode_return", np.float64), ("length", np.int64), ("mu", np.float64), ("epsilon", np.float64), ("env", np.int64),
+    ]
+)  # fmt: skip
+#: How far a rollout may go, and how far it went
+CONTROL = np.dtype(
+    [
+        ("pending", np.int64), ("max_steps", np.int64), ("max_episodes", np.int64), ("max_episode_steps", np.int64),
+        ("status", np.int64), ("n_steps", np.int64), ("n_ended", np.int64), ("env", np.int64),
+    ]
+)  # fmt: skip
+
+
+class Fixed(NamedTuple):
+    """What a training holds fixed; see ``LEARNER``."""
+
+    gamma: float
+    exploration_initial: float
+    exploration_final: float
+    exploration_fraction: float
+    mu_0: float
+    total_timesteps: int
+    total_episodes: int
+    next_action: int
+    resets_mu: int
+    holds_mu: int
+    holds_epsilon: int
+
+
+class Now(NamedTuple):
+    """What every transition moves; see ``LEARNER``."""
+
+    mu: float
+    epsilon: float
+    progress: float
+    num_timesteps: int
+    n_episodes: int
+    n_updates: int
+    mu_sum: float
+    mu_min: float
+    mu_max: float
+    td_error_sum: float
+
+
+def load_fixed(learner):
+    """The scalars that a training holds fixed, as values, which the compiler keeps in registers."""
+    return Fixed(
+        learner.gamma, learner.exploration_initial, learner.exploration_final, learner.exploration_fraction, learner.mu_0,
+        learner.total_timesteps, learner.total_episodes, learner.next_action, learner.resets_mu, learner.holds_mu,
+        learner.holds_epsilon,
+    )  # fmt: skip
+
+
+def load_now(learner):
+    """The scalars that every transition moves, as values."""
+    return Now(
+        learner.mu, learner.epsilon, learner.progress, learner.num_timesteps, learner.n_episodes, learner.n_updates,
+        learner.mu_sum, learner.mu_min, learner.mu_max, learner.td_error_sum,
+    )  # fmt: skip
+
+
+def store_now(learner, now):
+    """Put back what every transition moves."""
+    learner.mu, learner.epsilon, learner.progress = now.mu, now.epsilon, now.progress
+    learner.num_timesteps, learner.n_episodes, learner.n_updates = now.num_timesteps, now.n_episodes, now.n_updates
+    learner.mu_sum, learner.mu_min, learner.mu_max = now.mu_sum, now.mu_min, now.mu_max
+    learner.td_error_sum = now.td_error_sum
+
+
+def count_step(now, n_envs):
+    """The same with one more step of every environment."""
+    return Now(
+        now.mu, now.epsilon, now.progress, now.num_timesteps + n_envs, now.n_episodes, now.n_updates,
+        now.mu_sum, now.mu_min, now.mu_max, now.td_error_sum,
+    )  # fmt: skip
+
+
+def at_progress(step, progress):
+    """The update with the progress after it."""
+    return Step(
+        step.state, step.action, step.row, step.column, step.count, step.value, step.next_value, step.td_error, progress,
+        step.gamma, step.size,
+    )  # fmt: skip
+
+
+def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one function of machine code
+    """
+    :param update: the algorithm's update
+    :param size: forms the step size of this update, as a :class:`Step`
+    :param rule: forms the scalar step size that the next update starts from
+    :param behaviour: the :class:`sb3_adaptive_q.behaviour.Behaviour`
+    :param explore: the exploration rate by the progress, from a :class:`Fixed`
+    :return: a function that learns from one transition and chooses what to do next
+    """
+    choose, expect, best, _ = behaviour
+
+    def learn_one(tables, memory, fixed, now, draws, t, env):  # noqa: C901
+        epsilon, progress, n_episodes = now.epsilon, now.progress, now.n_episodes
+        if fixed.total_episodes == 0:
+            progress = min(now.num_timesteps / max(fixed.total_timesteps, 1), 1.0)
+            if fixed.holds_epsilon == 0:
+                epsilon = explore(fixed, progress)
+        rate = epsilon if epsilon >= 0.0 else now.epsilon  # one that is refused below must not enter the tables
+        agent = Agent(fixed.gamma, rate, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
+        action, step = update(tables, agent, size, choose, expect, best, memory, draws, t)
+        if t.done:
+            n_episodes += 1
+            if fixed.total_episodes > 0:
+                progress = min(n_episodes / fixed.total_episodes, 1.0)
+                if fixed.holds_epsilon == 0:
+                    epsilon = explore(fixed, progress)
+            action = choose(tables, t.start_state, epsilon, draws)
+        if t.done and fixed.resets_mu != 0:
+            mu = fixed.mu_0
+        elif fixed.holds_mu != 0:
+            mu = now.mu
+        else:
+            mu = rule(now.mu, at_progress(step, progress), *memory.parameters)
+        status = SOUND
+        if not 0.0 <= mu <= 1.0:
+            status = RULE_OUT_OF_RANGE
+        if not 0.0 <= step.size <= 1.0:
+            status = STEP_SIZE_OUT_OF_RANGE
+        if not epsilon >= 0.0:
+            status = EXPLORATION_OUT_OF_RANGE
+        now = Now(
+            mu, epsilon, progress, now.num_timesteps, n_episodes, now.n_updates + 1, now.mu_sum + step.size,
+            min(now.mu_min, step.size), max(now.mu_max, step.size), now.td_error_sum + abs(step.td_error),
+        )  # fmt: skip
+        return action, status, now, step
+
+    return learn_one
+
+
+def refuse(learner, status, now, step):
+    """Leave the counters as they are, and say what was wrong."""
+    learner.value = step.value
+    if status == EXPLORATION_OUT_OF_RANGE:
+        learner.refused = now.epsilon
+    else:
+        learner.refused = step.size if status == STEP_SIZE_OUT_OF_RANGE else now.mu
+
+
+def make_update_loop(learn_one, show, chooses_before_update):
+    """
+    :param learn_one: from :func:`make_learn_one`
+    :param show: writes what the behaviour policy looks at into a row
+    :param chooses_before_update: whether the next action is drawn from the table before the update
+    :return: a function that learns from one transition of an ordinary environment; it returns the next action, or minus
+        the status where the transition was refused. For each environment it notes the values that the action was chosen from
+    """
+
+    def update_loop(tables, memory, learner, draws, transition, env, considered):
+        before = load_now(learner[0])
+        state, action, reward, next_state, terminated, done, start_state = transition
+        t = Transition(state, action, reward, next_state, terminated, done, start_state)
+        known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
+        if chooses_before_update:
+            show(tables, next_state, considered[env])
+        action, status, now, step = learn_one(tables, known, load_fixed(learner[0]), before, draws, t, env)
+        if status != SOUND:
+            refuse(learner[0], status, now, step)
+            return -status
+        store_now(learner[0], now)
+        if done or not chooses_before_update:
+            show(tables, start_state, considered[env])
+        return action
+
+    return update_loop
+
+
+def make_single_loop(learn_one, reset, step, index, load_state, store_state, name_parameters, check):
+    """
+    The loop for one environment, all of it in local variables.
+
+    :param learn_one: from :func:`make_learn_one`
+    :param reset: the environment's, as are ``step`` and ``index``
+    :param step: see :class:`sb3_adaptive_q.vec_env.Dynamics`
+    :param index: see there
+    :param load_state: reads the environment's state from an array
+    :param store_state: writes it
+    :param name_parameters: makes the dynamics' named tuple
+    :param check: what is wrong with a transition
+    :return: the loop; it begins by learning from the transition that is pending, if there is one
+    """
+
+    def single_loop(tables, memory, learner, draws, envs, dynamics, control, record):
+        known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
+        fixed, now = load_fixed(learner[0]), load_now(learner[0])
+        states, generators, parameters = dynamics[0], dynamics[1], name_parameters(*dynamics[2])
+        generator = generators[0]
+        place = load_state(states, 0)
+        env = envs[0]
+        state, action, length, episode_return = env.state, env.action, env.length, env.episode_return
+        reward, next_state, start_state = env.reward, env.next_state, env.start_state
+        terminated, done = env.terminated, env.done
+        limit, max_steps, max_episodes = control[0].max_episode_steps, control[0].max_steps, control[0].max_episodes
+        episodes, dones = record
+        pending, status, n_steps, n_ended, n_states = control[0].pending != 0, SOUND, 0, 0, tables[0].shape[0]
+        while True:
+            if pending:
+                t = Transition(state, action, reward, next_state, terminated, done, start_state)
+                next_action, status, later, update = learn_one(tables, known, fixed, now, draws, t, 0)
+                if status != SOUND:
+                    refuse(learner[0], status, later, update)
+                    break
+                action, now, state = next_action, later, start_state
+            pending = False
+            if max_steps <= 0 or max_episodes <= 0:
+                break
+            place, reward, terminated = step(parameters, place, action, generator)
+            next_state = start_state = index(parameters, place)
+            length += 1
+            episode_return += reward
+            reward = np.float64(np.float32(reward))  # as a VecEnv hands it on
+            done = terminated or length >= limit
+            if done:
+                place = reset(parameters, place, generator)
+                start_state = index(parameters, place)
+                dones[n_steps, 0] = True
+                ended = episodes[n_ended]
+                ended.episode_return, ended.length, ended.env = episode_return, length, 0
+                ended.mu, ended.epsilon = now.mu, now.epsilon
+                length, episode_return = 0, 0.0
+                n_ended += 1
+            now = count_step(now, 1)
+            n_steps += 1
+            status = check(next_state, start_state, reward, n_states)
+            if status != SOUND:
+                break
+            pending = True
+            if n_steps >= max_steps or n_ended >= max_episodes:
+                break
+        env.state, env.action, env.length, env.episode_return = state, action, length, episode_return
+        env.reward, env.next_state, env.start_state = reward, next_state, start_state
+        env.terminated, env.done = terminated, done
+        store_state(states, 0, place)
+        store_now(learner[0], now)
+        control[0].status, control[0].n_steps, control[0].n_ended, control[0].env = status, n_steps, n_ended, 0
+        control[0].pending = 1 if pending else 0
+
+    return single_loop
+
+
+def make_several_loop(  # noqa: C901  # one function of machine code
+    learn_one, reset, step, index, load_state, store_state, name_parameters, check
+):
+    """
+    The loop for any number of environments, each in a record; for the parameters see :func:`make_single_loop`.
+
+    :return: the loop; it begins by learning from the transitions that are pending, if there are any
+    """
+
+    def several_loop(tables, memory, learner, draws, envs, dynamics, control, record):  # noqa: C901
+        known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
+        fixed, now = load_fixed(learner[0]), load_now(learner[0])
+        states, generators, parameters = dynamics[0], dynamics[1], name_parameters(*dynamics[2])
+        limit, max_steps, max_episodes = control[0].max_episode_steps, control[0].max_steps, control[0].max_episodes
+        episodes, dones = record
+        pending, status, n_steps, n_ended, n_states = control[0].pending != 0, SOUND, 0, 0, tables[0].shape[0]
+        n_envs, culprit = len(envs), 0
+        while True:
+            if pending:
+                for i in range(n_envs):
+                    env = envs[i]
+                    t = Transition(
+                        env.state, env.action, env.reward, env.next_state, env.terminated, env.done, env.start_state
+                    )
+                    next_action, status, later, update = learn_one(tables, known, fixed, now, draws, t, i)
+                    if status != SOUND:
+                        refuse(learner[0], status, later, update)
+                        culprit = i
+                        break
+                    now = later
+                    env.action, env.state = next_action, env.start_state
+            if status != SOUND:
+                break
+            pending = False
+            if max_steps <= 0 or max_episodes <= 0:
+                break
+            for i in range(n_envs):
+                env = envs[i]
+                place, reward, terminated = step(parameters, load_state(states, i), env.action, generators[i])
+                next_state = start_state = index(parameters, place)
+                env.length += 1
+                env.episode_return += reward
+                reward = np.float64(np.float32(reward))
+                done = terminated or env.length >= limit
+                if done:
+                    place = reset(parameters, place, generators[i])
+                    start_state = index(parameters, place)
+                    dones[n_steps, i] = True
+                    ended = episodes[n_ended]
+                    ended.episode_return, ended.length, ended.env = env.episode_return, env.length, i
+                    ended.mu, ended.epsilon = now.mu, now.epsilon
+                    env.length, env.episode_return = 0, 0.0
+                    n_ended += 1
+                store_state(states, i, place)
+                env.reward, env.next_state, env.start_state = reward, next_state, start_state
+                env.terminated, env.done = terminated, done
+                found = check(next_state, start_state, reward, n_states)
+                if found != SOUND:
+                    status, culprit = found, i
+            now = count_step(now, n_envs)
+            n_steps += 1
+            if status != SOUND:
+                break
+            pending = True
+            if n_steps >= max_steps or n_ended >= max_episodes:
+                break
+        store_now(learner[0], now)
+        control[0].status, control[0].n_steps, control[0].n_ended, control[0].env = status, n_steps, n_ended, culprit
+        control[0].pending = 1 if pending else 0
+
+    return several_loop
+
+
+def check_transition(next_state, start_state, reward, n_states):
+    """
+    :param next_state: the row that a transition reached
+    :param start_state: the row that the environment is in now
+    :param reward: what the transition was rewarded with
+    :param n_states: the rows of the table
+    :return: what forbids learning from the transition, or ``SOUND``
+    """
+    if not (0 <= next_state < n_states and 0 <= start_state < n_states):
+        return STATE_OUT_OF_RANGE
+    return SOUND if np.isfinite(reward) else REWARD_NOT_FINITE
+
+
+def check_nothing(next_state, start_state, reward, n_states):
+    """
+    For dynamics whose rewards are finite and rows in range by construction, which saves one step in twenty.
+
+    :return: ``SOUND``
+    """
+    return SOUND

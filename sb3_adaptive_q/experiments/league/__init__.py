@@ -1,0 +1,1 @@
+"""The league: which step size learns fastest, where, and how sure that is."""

@@ -1,0 +1,79 @@
+"""What follows from a league, in words with the numbers behind them."""
+
+from collections.abc import Sequence
+
+from sb3_adaptive_q import METHODS
+from sb3_adaptive_q.experiments.league.analysis import Scores, Standing, of_tasks, standings
+from sb3_adaptive_q.experiments.league.settings import Track
+from sb3_adaptive_q.experiments.names import method_label
+from sb3_adaptive_q.experiments.statistics import SIGNIFICANCE, bootstrap, compare_with, interquartile_mean
+from sb3_adaptive_q.experiments.text import format_estimate, join
+
+#: How a kind of environments is called at the beginning of a sentence
+WHERE = {
+    "noisy transitions": "Where transitions are noisy",
+    "deterministic": "Where everything is deterministic",
+    "noisy rewards": "Where rewards are noisy",
+    "moving": "Where the goal or the rewards move",
+    "aliased states": "Where different states look alike",
+    "your own": "In your own environments",
+}
+PAPER_LABELS = [method_label(str(number)) for number in METHODS]
+
+
+def findings(track: Track, scores: Scores, resamples: int) -> list[str]:
+    """
+    :param track: a track
+    :param scores: with one setting for all environments
+    :param resamples: of the bootstrap
+    :return: a sentence on all environments, and one on each kind of them
+    """
+    kinds = dict.fromkeys(task.kind for task in track.tasks)
+    groups = {WHERE[kind]: [k for k, task in enumerate(track.tasks) if task.kind == kind] for kind in kinds}
+    every = {"Over all environments together": list(range(len(track.tasks)))}
+    return [_finding(track, scores, where, tasks, resamples) for where, tasks in {**every, **groups}.items()]
+
+
+def _finding(track: Track, scores: Scores, where: str, tasks: Sequence[int], resamples: int) -> str:
+    part = of_tasks(scores, tasks)
+    rows = standings(track._replace(tasks=tuple(track.tasks[k] for k in tasks)), part, resamples)
+    best, places = rows[0], ", ".join(track.tasks[k].name for k in tasks)
+    text = f"**{where}** ({places}), take **{best.label}** ({best.setting}): its score is {_with_comparisons(best)}"
+    equals = _not_told_apart(track, part, best.label, resamples)
+    return f"{text}. {f'Not told apart from it: {join(equals)}.' if equals else 'It is told apart from every other rule.'}"
+
+
+def _with_comparisons(row: Standing) -> str:
+    parts = [format_estimate(*row.score)]
+    for label, (difference, p_value) in row.comparisons.items():
+        value, low, high = difference if difference.value >= 0 else (-difference.value, -difference.high, -difference.low)
+        doubt = "" if p_value < SIGNIFICANCE else " (not significant)"
+        side = "above" if difference.value >= 0 else "below"
+        parts.append(f"{format_estimate(value, low, high)} {side} {label}{doubt}")
+    return ", ".join(parts)
+
+
+def _not_told_apart(track: Track, scores: Scores, label: str, resamples: int) -> list[str]:
+    labels = [rule.label for rule in track.contestants]
+    values, samples = interquartile_mean(scores.anytime), bootstrap(scores.anytime, interquartile_mean, resamples)
+    compared = compare_with(labels.index(label), values, samples)
+    return [labels[i] for i, comparison in compared.items() if not comparison.is_significant]
+
+
+def paper_finding(rows: Sequence[Standing]) -> str:
+    """
+    :param rows: the standings, the best first
+    :return: a sentence on the paper's methods; empty if none of them took part
+    """
+    of_paper = [row for row in rows if row.label in PAPER_LABELS]
+    if not of_paper:
+        return ""
+    best = of_paper[0]
+    rank, low, high = best.rank
+    others = [f"{row.label} {row.score.value:.2f}" for row in of_paper[1:]]
+    ends = f". The others: {', '.join(others)}" if others else ""
+    return (
+        f"**Of the paper's methods** {best.label} does best: rank {rank} [{low}, {high}] of {len(rows)}, score "
+        f"{_with_comparisons(best)}{ends}. Methods 5 to 8 keep their rates between 0.001 and 0.01, which is slow where steps "
+        "are few."
+    )

@@ -1,0 +1,104 @@
+"""A whole league: the tuning runs, the choice of settings, the evaluation runs, and what they add up to."""
+
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from sb3_adaptive_q.experiments.environments import is_compiled
+from sb3_adaptive_q.experiments.league.analysis import Places, chosen_places, runs_frame
+from sb3_adaptive_q.experiments.league.plan import all_places, cells_of, read_runs
+from sb3_adaptive_q.experiments.league.settings import SELECTION, LeagueSettings, Track
+from sb3_adaptive_q.experiments.runner import Execution, run_missing
+from sb3_adaptive_q.experiments.storage import ResultFolder
+
+
+class Played(NamedTuple):
+    """
+    A track that was played.
+
+    :param track: the track
+    :param tuning: its tuning runs
+    :param chosen: by way of choosing, the setting of each rule in each task, of shape (rules, tasks)
+    :param evaluation: its evaluation runs
+    """
+
+    track: Track
+    tuning: Places
+    chosen: Mapping[str, np.ndarray]
+    evaluation: Places
+
+
+def run_league(settings: LeagueSettings, execution: Execution) -> str:
+    """
+    Run what is missing of a league, and write its report.
+
+    :param settings: what is compared
+    :param execution: how to carry it out
+    :return: the summary of the report
+    :raises DesignError: if a name is unknown, an environment cannot be judged, or the folder belongs to something else
+    :raises ExperimentError: if a worker dies, or something cannot be stored
+    """
+    tracks = settings.chosen_tracks()
+    folder = ResultFolder(execution.output)
+    folder.open(settings.as_data(), SELECTION)
+    start = time.monotonic()
+    in_threads = all(is_compiled(task.environment, **task.arguments) for track in tracks for task in track.tasks)
+    played = [play(settings, track, folder, execution, in_threads) for track in tracks]
+    seconds = time.monotonic() - start
+    if execution.progress:
+        print("Comparing the rules, drawing figures ...", file=sys.stderr)
+    from sb3_adaptive_q.experiments.league.report import write_outputs
+
+    _write_runs(settings, folder, played)
+    return write_outputs(settings, folder, played, seconds)
+
+
+def play(
+    settings: LeagueSettings, track: Track, folder: ResultFolder, execution: Execution, in_threads: bool = True
+) -> Played:
+    """
+    :param settings: of the league
+    :param track: one of its tracks
+    :param folder: of the league
+    :param execution: how to carry it out
+    :param in_threads: whether threads will do
+    :return: the track with all its runs
+    """
+    tuning = _run(settings, track, all_places(track), "tuning", (folder, execution, in_threads))
+    chosen = chosen_places(track, tuning)
+    places = {
+        (i, int(setting), k): None
+        for settings_of in chosen.values()
+        for i, row in enumerate(settings_of)
+        for k, setting in enumerate(row)
+    }
+    evaluation = _run(settings, track, places, "evaluation", (folder, execution, in_threads))
+    return Played(track, tuning, chosen, evaluation)
+
+
+def _run(
+    settings: LeagueSettings,
+    track: Track,
+    places: Iterable[tuple[int, int, int]],
+    phase: str,
+    where: tuple[ResultFolder, Execution, bool],
+) -> Places:
+    cells = {place: cells_of(settings, track, place, phase) for place in places}
+    folder, execution, in_threads = where
+    title = f"track {track.name}, {phase}" if len(track.name) == 1 else f"{track.name}, {phase}"
+    failures = run_missing([cell for each in cells.values() for cell in each], folder, execution, in_threads, title)
+    reasons = {failure.cell.key: failure.reason for failure in failures}
+    return {place: read_runs(folder, each, reasons) for place, each in cells.items()}
+
+
+def _write_runs(settings: LeagueSettings, folder: ResultFolder, played: list[Played]) -> None:
+    frames = [
+        runs_frame(each.track, runs, [seed for group in settings.seeds(phase) for seed in group], phase)
+        for each in played
+        for phase, runs in (("tuning", each.tuning), ("evaluation", each.evaluation))
+    ]
+    pd.concat(frames, ignore_index=True).to_parquet(folder.path / "runs.parquet", index=False)

@@ -1,0 +1,289 @@
+"""The report of a league, in Markdown and as a page, with its figures and tables."""
+
+import gc
+import platform
+import shlex
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+from joblib import cpu_count
+from matplotlib.figure import Figure
+
+from sb3_adaptive_q.experiments.drawing import render
+from sb3_adaptive_q.experiments.league.analysis import (
+    Scores,
+    Sensitivity,
+    Standing,
+    collect,
+    sensitivities,
+    standings,
+)
+from sb3_adaptive_q.experiments.league.figures import (
+    curves_figure,
+    environments_figure,
+    plane_figure,
+    profiles_figure,
+    sensitivity_figures,
+    wins_figure,
+)
+from sb3_adaptive_q.experiments.league.findings import findings, paper_finding
+from sb3_adaptive_q.experiments.league.league import Played
+from sb3_adaptive_q.experiments.league.plan import CHOICES
+from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Track, league_data
+from sb3_adaptive_q.experiments.options import options_of
+from sb3_adaptive_q.experiments.page import html_page
+from sb3_adaptive_q.experiments.statistics import (
+    Comparison,
+    Estimate,
+    bootstrap,
+    improvement_matrix,
+    interquartile_mean,
+    interval,
+    tolerance_interval,
+)
+from sb3_adaptive_q.experiments.storage import ResultFolder
+from sb3_adaptive_q.experiments.text import file_name, format_estimate, markdown_table, p_value
+from sb3_adaptive_q.experiments.versions import commit, versions
+
+TITLES = {
+    "B": "Control (track B)",
+    "A": "Estimation (track A)",
+    "C": "Prediction (track C)",
+    "algorithms": "Other algorithms (track B repeated)",
+}
+WHAT = {
+    "B": "Score: the exact return of the greedy policy, averaged over 25 checkpoints; 0 is the uniform policy, 1 the optimum.",
+    "A": "Score: 1 minus the error of the values in units of the first table's error, averaged over 25 checkpoints. Behaviour "
+    "is uniform, and with one seed all rules see the same transitions.",
+    "C": "Score: the squared error of the best constant step size in that environment divided by the rule's, both averaged "
+    "over 25 checkpoints; 1 is as good as the best constant step size, more is better.",
+    "algorithms": "Score as in track B, for other algorithms than Q-learning with four of the rules.",
+}
+NOTE = (
+    "The score is the interquartile mean over runs and environments with one setting for all environments; the setting for an "
+    "environment is chosen on the tuning runs of the others (the table names the one chosen most often). Brackets hold 95 % "
+    "bootstrap intervals, stratified by environment. Differences are paired by seed; their p values are corrected after Holm. "
+    "Sensitivity is what one setting for all costs against the best in each environment, in units of the spread of all "
+    "settings of all rules; tuned parameters is how many have to be chosen in each environment to keep 95 % of the best; a "
+    "random setting's worth is the mean over the grid on that scale. A run that fails counts as the uniform policy from then "
+    "on."
+)
+QUICK = "quick look (--quick): a few settings, a few runs, a tenth of the steps; no league result"
+
+
+class Analysed(NamedTuple):
+    """
+    :param played: a track
+    :param scores: by way of choosing
+    :param rows: the standings with one setting for all environments
+    :param sensitivities: of the rules
+    """
+
+    played: Played
+    scores: dict[str, Scores]
+    rows: list[Standing]
+    sensitivities: list[Sensitivity]
+
+    @property
+    def track(self) -> Track:
+        """The track."""
+        return self.played.track
+
+
+def write_outputs(settings: LeagueSettings, folder: ResultFolder, played: Sequence[Played], seconds: float) -> str:
+    """
+    Write the report, its figures and its tables.
+
+    :param settings: of the league
+    :param folder: of the league
+    :param played: its tracks
+    :param seconds: how long this start took to run what was missing
+    :return: the summary of the report
+    """
+    order = list(TITLES)
+    analysed = sorted((analyse(each, settings.resamples) for each in played), key=lambda each: order.index(each.track.name))
+    sections = [_section(settings, folder, each) for each in analysed]
+    summary = _summary(settings, analysed[0])
+    report = "\n\n".join([summary, *sections, _how_to_repeat(settings, seconds)]) + "\n"
+    folder.write("league.yml", (files("sb3_adaptive_q.experiments.league") / "league.yml").read_bytes())
+    folder.write("report.md", report)
+    folder.write("report.html", html_page(report, lambda name: (folder.path / name).read_bytes()))
+    return summary
+
+
+def analyse(played: Played, resamples: int) -> Analysed:
+    """
+    :param played: a track
+    :param resamples: of the bootstrap
+    :return: what it adds up to
+    """
+    track = played.track
+    scores = {choice: collect(track, played.chosen[choice], played.evaluation) for choice in CHOICES}
+    return Analysed(played, scores, standings(track, scores[CHOICES[0]], resamples), sensitivities(track, played.tuning))
+
+
+def _summary(settings: LeagueSettings, first: Analysed) -> str:
+    track = first.track
+    heading = f"# Step sizes of tabular learning, compared{f': {QUICK}' if settings.quick else ''}"
+    sentences = findings(track, first.scores[CHOICES[0]], settings.resamples)
+    sentences += [paper_finding(first.rows)]
+    runs = sum(len(group) for group in settings.seeds("evaluation"))
+    what = f"{len(track.contestants)} rules in {len(track.tasks)} environments, {runs} runs each. {WHAT[track.name]}"
+    return f"{heading}\n\n{what}\n\n" + "\n".join(f"- {sentence}" for sentence in sentences if sentence)
+
+
+def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed) -> str:
+    track, mark = analysed.track, f" ({QUICK})" if settings.quick else ""
+    wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(settings.resamples, 1000))
+    tables = {
+        "standings": ("Standings", standings_table(analysed)),
+        "choices": ("Other ways of choosing the setting (interquartile means)", _choices_table(analysed, settings)),
+        "environments": (
+            "Mean score in each environment, with the interval that holds nine of ten runs with 95 % confidence",
+            _environments_table(analysed),
+        ),
+    }
+    parts = [f"## {TITLES[track.name]}{mark}\n\n{WHAT[track.name]}"]
+    for name, (caption, frame) in tables.items():
+        folder.write(f"tables/{track.name}_{name}.csv", frame.to_csv(index=False))
+        parts.append(f"### {caption}{mark}\n\n{markdown_table(frame.columns.tolist(), frame.to_numpy().tolist())}")
+        if name == "standings":
+            parts += [NOTE, _failures(analysed)]
+    labels = [rule.label for rule in track.contestants]
+    matrix = pd.DataFrame([[each.value for each in row] for row in wins], index=labels, columns=labels)
+    folder.write(f"tables/{track.name}_wins.csv", matrix.to_csv())
+    for name, caption, figure in _figures(analysed, wins):
+        if settings.quick:
+            figure.text(0.995, 0.995, "quick look", ha="right", va="top", fontsize="small")
+        path = f"figures/{track.name}_{file_name(name)}.png"
+        folder.write(path, render(figure, "png"))
+        gc.collect()  # figures are full of reference cycles
+        parts.append(f"![{caption}{mark}]({path})")
+    return "\n\n".join(part for part in parts if part)
+
+
+def _figures(analysed: Analysed, wins: list[list[Estimate]]) -> Iterator[tuple[str, str, Figure]]:
+    track, rows, scores = analysed.track, analysed.rows, analysed.scores[CHOICES[0]]
+    yield "plane", "Performance against sensitivity", plane_figure(track, rows, analysed.sensitivities)
+    yield "curves", "Learning over all environments", curves_figure(track, scores, rows)
+    yield "environments", "Learning in each environment", environments_figure(track, scores, rows)
+    yield "wins", "Matrix of wins", wins_figure(rows, [rule.label for rule in track.contestants], wins)
+    yield "profiles", "Performance profiles", profiles_figure(track, scores, rows)
+    if track.name != "algorithms":
+        for rule, figure in sensitivity_figures(track, analysed.played.tuning):
+            figure.suptitle(rule.label, fontsize="medium")
+            yield f"sensitivity_{rule.label}", f"Score of {rule.label} against its parameter", figure
+
+
+def standings_table(analysed: Analysed) -> pd.DataFrame:
+    """
+    :param analysed: a track
+    :return: the headline table, a row for each rule, the best first
+    """
+    by_label = {rule.label: each for rule, each in zip(analysed.track.contestants, analysed.sensitivities, strict=True)}
+    references = list(dict.fromkeys(label for row in analysed.rows for label in row.comparisons))
+    return pd.DataFrame(
+        [
+            {
+                "rank [interval]": "{} [{}, {}]".format(*row.rank),
+                "rule": row.label,
+                "setting": row.setting,
+                "score [95 % interval]": format_estimate(*row.score, decimals=3),
+                **{f"difference to {label}": _difference(row.comparisons.get(label)) for label in references},
+                "final score": format_estimate(*row.final, decimals=3),
+                "score while learning": format_estimate(*row.online, decimals=3),
+                "mean": format_estimate(*row.mean, decimals=3),
+                "optimality gap": format_estimate(*row.gap, decimals=3),
+                "sensitivity": f"{by_label[row.label].loss:.3f}",
+                "tuned parameters": str(by_label[row.label].dimension),
+                "a random setting's worth": f"{by_label[row.label].area:.2f}",
+                "settings near the best": f"{by_label[row.label].near_best:.2f}",
+                "failed runs": str(row.failures),
+            }
+            for row in analysed.rows
+        ]
+    )
+
+
+def _difference(comparison: Comparison | None) -> str:
+    if comparison is None:
+        return "–"
+    return f"{format_estimate(*comparison.difference, decimals=3)}, {p_value(comparison.p_value)}"
+
+
+def _choices_table(analysed: Analysed, settings: LeagueSettings) -> pd.DataFrame:
+    columns = {}
+    for choice, scores in analysed.scores.items():
+        values = interquartile_mean(scores.anytime)
+        samples = bootstrap(scores.anytime, interquartile_mean, settings.resamples)
+        columns[choice] = [interval(float(value), samples[:, i]) for i, value in enumerate(values)]
+    labels = [rule.label for rule in analysed.track.contestants]
+    return pd.DataFrame(
+        [
+            {"rule": row.label}
+            | {choice: format_estimate(*of_rules[labels.index(row.label)], decimals=3) for choice, of_rules in columns.items()}
+            for row in analysed.rows
+        ]
+    )
+
+
+def _environments_table(analysed: Analysed) -> pd.DataFrame:
+    track, scores = analysed.track, analysed.scores[CHOICES[0]]
+    labels = [rule.label for rule in track.contestants]
+    rows = []
+    for row in analysed.rows:
+        runs = scores.anytime[labels.index(row.label)]
+        cells = {
+            task.name: format_estimate(float(column.mean()), *tolerance_interval(column))
+            for task, column in zip(track.tasks, runs.T, strict=True)
+        }
+        rows.append({"rule": row.label, **cells})
+    return pd.DataFrame(rows)
+
+
+def _failures(analysed: Analysed) -> str:
+    """Every reason once, with the rule and the environment where it was met first."""
+    track = analysed.track
+    reasons: dict[str, tuple[str, str, int]] = {}
+    for (i, _, k), runs in analysed.played.evaluation.items():
+        for reason in runs.failures:
+            rule, place, count = reasons.get(reason, (track.contestants[i].label, track.tasks[k].name, 0))
+            reasons[reason] = rule, place, count + 1
+    lines = [f"- {rule} in {place}: {reason} ({count} runs)" for reason, (rule, place, count) in reasons.items()]
+    return "Runs that failed, by their reasons:\n\n" + "\n".join(lines) if lines else ""
+
+
+def _how_to_repeat(settings: LeagueSettings, seconds: float) -> str:
+    default = LeagueSettings().as_data()
+    options = options_of({name: value for name, value in settings.as_data().items() if value != default[name]})
+    command = shlex.join(["python", "-m", "sb3_adaptive_q", "league", *options])
+    rows = {
+        "league": f"version {league_data()['version']}, see league.yml",
+        "seeds of the tuning": _span(settings, "tuning"),
+        "seeds of the evaluation": _span(settings, "evaluation"),
+        "bootstrap samples": str(settings.resamples),
+        "time of this start": f"{seconds:.0f} s (what was stored before took none)",
+        "processor": f"{_processor()}, {cpu_count()} cores",
+        "commit": commit() or "unknown",
+        **versions(),
+    }
+    table = markdown_table(["what", "value"], [[name, value] for name, value in rows.items()])
+    text = f"`{command}` repeats it: with the same versions every number is the same."
+    return f"## What was run, and how to repeat it\n\n{text}\n\n{table}"
+
+
+def _span(settings: LeagueSettings, phase: str) -> str:
+    seeds = [seed for group in settings.seeds(phase) for seed in group]
+    return f"{seeds[0]} to {seeds[-1]}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()

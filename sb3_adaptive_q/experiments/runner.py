@@ -1,0 +1,161 @@
+"""Runs the cells that are missing, and stores each as it comes; joblib provides threads, processes or a Dask cluster."""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, cpu_count, delayed, parallel_config
+from joblib.parallel import get_active_backend
+from tqdm import tqdm
+
+from sb3_adaptive_q.experiments.cells import Cell, Outcome, run_cell
+from sb3_adaptive_q.experiments.errors import DesignError, ExperimentError
+from sb3_adaptive_q.experiments.storage import ResultFolder
+from sb3_adaptive_q.experiments.versions import everything_of
+
+#: How long to wait for a scheduler, in seconds
+CONNECTION_TIMEOUT = 10.0
+#: How the progress bar looks
+BAR: Any = {"unit_scale": True, "smoothing": 0.05}
+
+Run = Callable[[Cell, Mapping[str, str]], Outcome]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Execution:
+    """
+    How an experiment is carried out, which makes no difference to what it gives.
+
+    :param output: folder of the results; an experiment that was interrupted goes on when it is started again with the same
+    :param workers: how many runs at a time; one for each core if not given
+    :param processes: processes instead of threads, for environments or rules that hold the interpreter
+    :param dask: address of the scheduler of a Dask cluster to use instead, such as tcp://10.0.0.5:8786
+    :param progress: show a progress bar with the time left
+    """
+
+    output: Path = Path("results")
+    workers: int | None = None
+    processes: bool = False
+    dask: str | None = None
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise DesignError(f"workers must be a whole number of at least 1, but is {self.workers}.")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """
+    :param cell: that failed
+    :param reason: why
+    """
+
+    cell: Cell
+    reason: str
+
+
+def run_missing(
+    cells: Sequence[Cell], folder: ResultFolder, execution: Execution, in_threads: bool = True, title: str = ""
+) -> list[Failure]:
+    """
+    Run every cell that its folder does not hold yet, in an order of no meaning: so the time left can be told early.
+
+    :param cells: the cells of an experiment
+    :param folder: its folder
+    :param execution: how to carry it out
+    :param in_threads: whether the cells leave the interpreter to each other for most of their time, as compiled runs do
+    :param title: what stands before the progress bar
+    :return: the cells that failed, and why; they are run again the next time
+    :raises ExperimentError: if a worker dies, the cluster is lost or refused, or a cell cannot be stored; the cells that are
+        done by then are stored
+    """
+    in_order = sorted({cell.key: cell for cell in cells}.values(), key=lambda cell: cell.key)
+    missing = [cell for cell in in_order if not folder.has(cell)]
+    if not missing:
+        return []
+    total = sum(cell.cost for cell in in_order)
+    done = total - sum(cell.cost for cell in missing)
+    failures = []
+    kind = "dask" if execution.dask else "threading" if in_threads and not execution.processes else "loky"
+    with (
+        _workers(execution, kind) as parallel,
+        tqdm(desc=title or None, total=total, initial=done, disable=not execution.progress, **BAR) as bar,
+    ):
+        for outcome in _outcomes(parallel, missing, _run_in_process if kind == "loky" else run_cell):
+            if outcome.failure:
+                failures.append(Failure(outcome.cell, outcome.failure))
+            else:
+                folder.write(f"cells/{outcome.cell.key}.parquet", outcome.content)
+            bar.update(outcome.cell.cost)
+    return failures
+
+
+def _outcomes(parallel: Parallel, cells: Sequence[Cell], run: Run) -> Iterator[Outcome]:
+    wanted = {names: everything_of(names) for names in {cell.names for cell in cells}}
+    try:
+        yield from parallel(delayed(run)(cell, wanted[cell.names]) for cell in cells)
+    except TimeoutError as error:
+        raise ExperimentError(f"The Dask cluster has no worker: please start some with `dask worker`. ({error})") from error
+    except BrokenExecutor as error:
+        raise ExperimentError(
+            f"A worker died ({error}), perhaps for want of memory. Start again to go on; --workers 1 needs least."
+        ) from error
+    except CancelledError as error:
+        raise ExperimentError("The Dask scheduler was lost: check that it is running, and start again to go on.") from error
+
+
+@contextmanager
+def _workers(execution: Execution, kind: str) -> Iterator[Parallel]:
+    options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
+    if execution.dask:
+        with _dask_client(execution.dask) as client, parallel_config("dask", client=client):
+            backend: Any = get_active_backend()[0]
+            count = backend.effective_n_jobs
+            # Joblib would not use a cluster of one worker, which may grow; and all cells are handed out at once, so that
+            # workers that join later have something to do
+            backend.effective_n_jobs = lambda n_jobs: max(2, count(n_jobs))
+            yield Parallel(n_jobs=-1, pre_dispatch="all", **options)
+        return
+    yield Parallel(n_jobs=execution.workers or cpu_count(), backend=kind, pre_dispatch="3*n_jobs", **options)
+
+
+def _run_in_process(cell: Cell, wanted: Mapping[str, str]) -> Outcome:
+    _end_with_parent()
+    return run_cell(cell, wanted)
+
+
+@cache
+def _end_with_parent() -> None:
+    """A worker process that has lost its parent would wait for work for minutes."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _dask_client(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ExperimentError("--dask needs the packages of the extra `dask`: pip install 'sb3-adaptive-q[dask]'.") from error
+    try:
+        client = Client(address, timeout=CONNECTION_TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise ExperimentError(
+            f"No Dask scheduler answers at {address} ({error}): check the address and that `dask scheduler` is running."
+        ) from error
+    with client:
+        yield client

@@ -1,0 +1,173 @@
+"""A method as the model keeps it: plain data, and the functions that it stands for."""
+
+import inspect
+from collections.abc import Callable
+from functools import cached_property
+from math import isfinite
+from numbers import Real
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
+from sb3_adaptive_q.step_sizes.cells import COUNTS, MOST_ARRAYS, SCOPES, keep_mu, last_size, make_size, scalar_size
+from sb3_adaptive_q.step_sizes.step import Step, clip_size
+
+
+class MethodData(NamedTuple):
+    """
+    What a saved file holds of a method.
+
+    :param owner: the name of a step size in ``STEP_SIZES``, or the callback class that has the functions, as
+        ``module:qualified name``
+    :param label: what the method is called in names of runs
+    :param parameters: the functions' further arguments by name
+    :param memory: the number that every cell of an array starts from, by the array's name
+    :param counts: whether the step size asks for ``step.count``
+    :param scope: what a cell of the memory belongs to, a key of ``SCOPES``
+    :param bounds: the least and the largest step size
+    :param mu_0: the scalar step size to start from; ``None`` for what the functions give for a step of zeros
+    :param next_action: which action's value in the next state the rule sees
+    :param reset_each_episode: whether μ starts again from ``mu_0`` with every episode
+    """
+
+    owner: str
+    label: str
+    parameters: dict[str, float]
+    memory: dict[str, float] = {}  # noqa: RUF012  # never changed
+    counts: bool = False
+    scope: str = "pair"
+    bounds: tuple[float, float] = (float("-inf"), float("inf"))
+    mu_0: float | None = None
+    next_action: str = "next"
+    reset_each_episode: bool = False
+
+
+class InstalledMethod:
+    """
+    :param data: the method as data
+    :param functions: (step_size, rule), each of them may be ``None``
+    :raises ValueError: if the data do not fit the functions
+    """
+
+    def __init__(self, data: MethodData, functions: tuple[Any, Any]) -> None:
+        self.step_size, self.rule = functions
+        _check_data(data)
+        self.data = data._replace(parameters=self._in_order(data))
+
+    def _in_order(self, data: MethodData) -> dict[str, float]:
+        """The parameters in the order of the functions' arguments, after a check of these."""
+        arrays = list(data.memory)
+        for name, function, names in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
+            if function is not None:
+                expected = _further_arguments(data.owner, name, function)
+                takes = expected[: len(expected) - len(names)]
+                if sorted(takes) != sorted(data.parameters) or expected[len(takes) :] != names:
+                    raise ValueError(
+                        f"`{name}` of {data.owner} takes ({', '.join(expected)}) after `mu` and `step`, but the parameters "
+                        f"are ({', '.join(data.parameters)}) and the arrays of its memory ({', '.join(names)}): please make "
+                        "them agree, parameters first."
+                    )
+                data = data._replace(parameters={name: data.parameters[name] for name in takes})
+        for name, value in data.parameters.items():
+            check_finite(name, value)
+        return {name: float(value) for name, value in data.parameters.items()}
+
+    @property
+    def arguments(self) -> tuple[float, ...]:
+        """The values of the parameters, in the functions' order."""
+        return tuple(self.data.parameters.values())
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether there is a step size for each entry, state or training, besides the scalar μ."""
+        return self.step_size is not None
+
+    @property
+    def array_starts(self) -> dict[str, float]:
+        """The number that every cell of each array starts from, the counts first."""
+        return ({COUNTS: 0.0} if self.data.counts else {}) | self.data.memory
+
+    @cached_property
+    def size_function(self) -> Callable[..., Any]:
+        """What an update calls to form its step size."""
+        if self.step_size is None:
+            return scalar_size
+        return make_size(self.step_size, self.data.scope, self.data.counts, len(self.array_starts))
+
+    @property
+    def rule_function(self) -> Callable[..., float]:
+        """What forms the next scalar μ."""
+        if self.rule is not None:
+            return self.rule
+        return last_size if self.step_size is not None else keep_mu
+
+    def start(self) -> float:
+        """
+        :return: the scalar step size of the first update
+        :raises ValueError: if the functions give none from 0 to 1 there
+        """
+        if self.data.mu_0 is not None:
+            return float(self.data.mu_0)
+        step = Step(0, 0, 0, 0, 1.0 if self.data.counts else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        if self.step_size is not None:
+            arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
+            mu = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
+        else:
+            mu = self.rule(0.0, step, *self.arguments)
+        if not is_step_size(mu):
+            raise ValueError(
+                f"{self.data.owner} must give step sizes from 0 to 1, but for a step of zeros, where training starts, it gave "
+                f"{mu!r}: please check it, or say `mu_0`."
+            )
+        return float(mu)
+
+
+def is_step_size(value: Any) -> bool:
+    """
+    :param value: anything
+    :return: whether it is a number from 0 to 1
+    """
+    return isinstance(value, Real) and 0.0 <= float(value) <= 1.0
+
+
+def check_step_size(name: str, value: Any) -> None:
+    """
+    :param name: what the value is called
+    :param value: a step size, a rate or a discount factor
+    :raises ValueError: if it is not a number from 0 to 1
+    """
+    if not is_step_size(value):
+        raise ValueError(f"`{name}` must be from 0 to 1, but got {value!r}.")
+
+
+def check_finite(name: str, value: Any) -> None:
+    """
+    :param name: what the value is called
+    :param value: a parameter of a method
+    :raises ValueError: if it is not a finite number
+    """
+    if not isinstance(value, Real) or not isfinite(value):
+        raise ValueError(f"`{name}` must be finite and a number, but got {value!r}.")
+
+
+def _check_data(data: MethodData) -> None:
+    if data.next_action not in NEXT_ACTIONS:
+        raise ValueError(f"`next_action` must be one of {', '.join(NEXT_ACTIONS)}, but got {data.next_action!r}.")
+    if data.scope not in SCOPES:
+        raise ValueError(f"`scope` must be one of {', '.join(SCOPES)}, but got {data.scope!r}.")
+    if not isinstance(data.reset_each_episode, bool | np.bool_):
+        raise ValueError(f"`reset_each_episode` must be True or False, but got {data.reset_each_episode!r}.")
+    if data.mu_0 is not None:
+        check_step_size("mu_0", data.mu_0)
+    if len(data.memory) + data.counts > MOST_ARRAYS:
+        raise ValueError(f"A step size may have {MOST_ARRAYS} arrays, the counts included, but {data.owner} has more.")
+
+
+def _further_arguments(owner: str, name: str, function: Callable[..., Any]) -> list[str]:
+    names = list(inspect.signature(function).parameters)
+    if names[:1] == ["self"]:
+        raise ValueError(f"`{name}` of {owner} must be a function without `self`: please make it a `@staticmethod`.")
+    if len(names) < 2:
+        raise ValueError(f"`{name}` of {owner} must take `mu` and `step` first, but takes ({', '.join(names)}).")
+    return names[2:]

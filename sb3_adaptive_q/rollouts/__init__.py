@@ -1,0 +1,1 @@
+"""How transitions are made and learned from."""

@@ -1,0 +1,258 @@
+"""Transitions made one step of the environments at a time."""
+
+import warnings
+from collections.abc import Callable
+from math import isfinite
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_adaptive_q.action_masks import ALLOWED, note_mask
+from sb3_adaptive_q.callbacks import Episodes
+from sb3_adaptive_q.compiled import loops
+from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, machine_code
+
+#: A transition of the types that machine code takes
+_EXAMPLE = (0, 0, 0.0, 0, False, False, 0)
+
+
+class RolloutState(NamedTuple):
+    """
+    Where a rollout is between two steps.
+
+    :param transitions: for each environment the transition that was not learned from yet, as a
+        :class:`sb3_adaptive_q.algorithms.td_update.Transition` has it; empty where all were
+    :param infos: for each of these, what the log wants to know of an episode that it ended
+    :param returns: for each environment, the rewards of the running episode
+    :param lengths: for each environment, the steps of the running episode
+    """
+
+    transitions: list[tuple[int, int, float, int, bool, bool, int]]
+    infos: list[dict[str, Any]]
+    returns: list[float]
+    lengths: list[int]
+
+
+class StepRollout:
+    """
+    Steps the environments once, and learns from the n transitions in their order, each with the table and the μ that
+    the one before it left.
+
+    :param model: the tabular algorithm that learns
+    :param step_locals: the variables that callbacks see; those of a step are put in. One dictionary, because ``locals()``,
+        which SB3 hands over at every step, would gather all the others again
+    """
+
+    def __init__(self, model: Any, step_locals: dict[str, Any]) -> None:
+        self.model = model
+        self.step_locals = step_locals
+        self.step_locals["rollout"] = self
+        self.env: VecEnv = model.env
+        self.n_envs = self.env.num_envs
+        self.learner, self.draws = model.training.record, model.training.draws
+        self.state_index = model.policy.state_index
+        self._state_of = self.state_index.of
+        self.considered = model.considered
+        self.first_action = int(model.action_space.start)
+        self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
+        self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
+        self.transitions: list[tuple[float, int, bool, bool, int]] = []
+        self.take_choices()
+        if model._next_actions is None:
+            model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
+        self._action_array = model._next_actions
+        # Its entries are Python's integers, which machine code takes faster than NumPy's
+        self.actions: Any = memoryview(model._next_actions)
+
+    def take_choices(self) -> None:
+        """Fetch the machine code for the model's algorithm and method, which may change between two steps."""
+        model = self.model
+        self.choices = model.choices
+        self.tables, self.memory = model.learning_arrays()
+        self._compile()
+
+    def _compile(self) -> None:
+        function = self.choices.update_loop()
+        try:
+            arguments = (self.tables, self.memory, self.learner, self.draws, _EXAMPLE, 0, self.considered)
+            self._update = self._in_python(function) if is_disabled() else machine_code(function, arguments)
+        except CannotCompile as error:
+            warnings.warn(f"{self.model.own_functions()} runs as Python, which is slower: {error}.", stacklevel=5)
+            self._update = self._in_python(function)
+
+    def _in_python(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        self.learner = self.learner.view(np.recarray)  # whose fields Python reads by their names, as machine code does
+        return as_python(function)
+
+    def advance(self) -> None:
+        """
+        Take the chosen actions. Callbacks then find ``actions``, ``new_obs``, ``rewards``, ``dones`` and ``infos`` among
+        the variables, as ``VecEnv.step`` has them.
+
+        :raises ValueError: if a reward is not a finite number; the table stays as it was
+        """
+        actions = self._action_array.copy()
+        if self.first_action:
+            actions += self.first_action
+        new_obs, rewards, dones, infos = self.env.step(actions)
+        self.model.num_timesteps += self.n_envs
+        self.infos, self.dones = infos, dones.tolist()
+        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
+        if self.model.use_masking:
+            self._note_masks(self.model._working[ALLOWED])
+        if True in self.dones:
+            self._hand_over_episodes()
+        self.show(actions, new_obs, rewards, dones, infos)
+
+    def learn(self) -> None:
+        """Learn from the transitions that were made last, and choose the next actions."""
+        if self.model.choices is not self.choices:
+            self.take_choices()
+        self.note_episodes()
+        update, states, actions = self._update, self.states, self.actions
+        tables, memory, learner, draws, considered = self.tables, self.memory, self.learner, self.draws, self.considered
+        for i, (reward, next_state, terminated, done, start_state) in enumerate(self.transitions):
+            transition = (states[i], actions[i], reward, next_state, terminated, done, start_state)
+            action = update(tables, memory, learner, draws, transition, i, considered)
+            if action < 0:
+                self.refuse(-action, states[i], actions[i])
+            states[i], actions[i] = start_state, action
+        self.transitions = []
+        self.model._last_obs = self.new_obs
+
+    def abandon(self) -> None:
+        """Leave the last transitions unlearned, as SB3 does when a callback ends the training; their episodes count."""
+        self.note_episodes()
+        self.model._episode_num += sum(self.dones)
+        self.model._next_actions = None
+        self.model._last_obs = self.new_obs
+        self.transitions = []
+
+    def state(self) -> RolloutState:
+        """
+        :return: where the rollout is, to be saved with the model by a callback
+        """
+        pending = [(self.states[i], self.actions[i], *rest) for i, rest in enumerate(self.transitions)]
+        infos = self._infos_for_log() if pending else []
+        return RolloutState(pending, infos, self.episode_returns, self.episode_lengths)
+
+    def restore(self, state: RolloutState) -> None:
+        """
+        Go on where another rollout was, whose transitions :meth:`learn` then learns from.
+
+        :param state: where it was
+        """
+        self.episode_returns, self.episode_lengths = list(state.returns), list(state.lengths)
+        self.transitions = [transition[2:] for transition in state.transitions]
+        self._restore_last_step(state)
+
+    def _infos_for_log(self) -> list[dict[str, Any]]:
+        return [{name: info[name] for name in ("episode", "is_success") if name in info} for info in self.infos]
+
+    def _restore_last_step(self, state: RolloutState) -> None:
+        for i, transition in enumerate(state.transitions):
+            self.states[i], self.actions[i] = transition[:2]
+        self.dones, self.infos = [transition[5] for transition in state.transitions], state.infos
+        self.new_obs = self.model._last_obs
+
+    def show(
+        self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]
+    ) -> None:
+        """Put what a step gave among the variables that callbacks see."""
+        step_locals = self.step_locals
+        step_locals["actions"], step_locals["new_obs"] = actions, new_obs
+        step_locals["rewards"], step_locals["dones"], step_locals["infos"] = rewards, dones, infos
+        self.new_obs = new_obs
+
+    def note_episodes(self) -> None:
+        """Give the log the episodes that the last step ended."""
+        if True in self.dones:
+            ended = [info for info, done in zip(self.infos, self.dones, strict=True) if done]
+            self.model._update_info_buffer(ended, [True] * len(ended))
+
+    def refuse(self, status: int, state: int, action: int) -> NoReturn:
+        """
+        :param status: what was wrong with an update
+        :param state: the state that it started from
+        :param action: its action
+        :raises ValueError: always; the table is as it was where the algorithm changes one entry
+        """
+        model, learner = self.model, self.learner[0]
+        value = float(learner["refused"])
+        if status == loops.EXPLORATION_OUT_OF_RANGE:
+            who, what = "`exploration_schedule`", "exploration rates from 0 to 1 (temperatures above 0)"
+            given = ""
+        else:
+            who = model.own_functions()
+            what, given = "step sizes from 0 to 1", f" {value!r}"
+        if model.updates_one_entry:
+            model.q_table[state, action] = learner["value"]
+        raise ValueError(
+            f"{who} must give {what}, but at step {model.num_timesteps}, in state {state} for action "
+            f"{action + self.first_action}, it gave{given or ' another'}: please check it."
+        )
+
+    def _hand_over_episodes(self) -> None:
+        """Give the callbacks that keep episodes those that have just ended."""
+        model, rows = self.model, []
+        for i, done in enumerate(self.dones):
+            if done:
+                rows.append(self._finished(i))
+                self.episode_returns[i], self.episode_lengths[i] = 0.0, 0
+        returns, lengths = zip(*rows, strict=True)
+        episodes = Episodes(
+            np.array(returns, dtype=np.float64), np.array(lengths, dtype=np.int64),
+            np.full(len(rows), model.mu), np.full(len(rows), model.exploration_rate),
+        )  # fmt: skip
+        for series in model.episode_series:
+            series.add(episodes)
+
+    def _finished(self, i: int) -> tuple[float, int]:
+        """Return and length of the episode that environment i has just ended: a Monitor's, if it kept one."""
+        episode = self.infos[i].get("episode")
+        if isinstance(episode, dict) and {"r", "l", "t"} <= set(episode):
+            return episode["r"], episode["l"]
+        return round(self.episode_returns[i], 6), self.episode_lengths[i]
+
+    def _transitions(self, observations: list[Any], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
+        """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
+        transitions = []
+        for i, done in enumerate(self.dones):
+            reward = rewards[i]
+            if not isfinite(reward):
+                self.refuse_reward(i, reward)
+            state = self._state_of(observations[i])
+            next_state, terminated = state, done
+            if done:
+                reached = np.asarray(self.infos[i]["terminal_observation"]).tolist()
+                next_state = self._state_of(reached)
+                terminated = not self.infos[i].get("TimeLimit.truncated", False)
+            self.episode_returns[i] += reward
+            self.episode_lengths[i] += 1
+            transitions.append((reward, next_state, terminated, done, state))
+        return transitions
+
+    def _choose_action(self, i: int) -> int:
+        behaviour = self.choices.functions_of_behaviour()
+        behaviour.show(self.tables, self.states[i], self.considered[i])
+        return int(as_python(behaviour.choose)(self.tables, self.states[i], self.model.exploration_rate, self.draws))
+
+    def _note_masks(self, allowed: np.ndarray) -> None:
+        """Take over the masks of the states in which an action is chosen next."""
+        for i, (_, next_state, terminated, done, start_state) in enumerate(self.transitions):
+            if not terminated:
+                note_mask(allowed, next_state, self.infos[i])
+            if done:
+                note_mask(allowed, start_state, self.env.unwrapped.reset_infos[i])
+
+    def refuse_reward(self, i: int, reward: float) -> NoReturn:
+        """
+        :param i: the number of the environment
+        :param reward: what it gave
+        :raises ValueError: always
+        """
+        raise ValueError(
+            f"Rewards must be finite, but at step {self.model.num_timesteps} environment {i} gave {reward} for action "
+            f"{self.actions[i] + self.first_action} in state {self.states[i]}: please check its reward."
+        )

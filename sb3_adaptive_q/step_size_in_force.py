@@ -1,0 +1,250 @@
+"""The part of a tabular algorithm that knows which step size and which exploration rate are in force."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
+
+from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
+from sb3_adaptive_q.behaviour import EXPLORATIONS, SCHEDULES, TIES
+from sb3_adaptive_q.callbacks import method as make_method
+from sb3_adaptive_q.compiled.jit import as_python
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_step_size
+from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
+from sb3_adaptive_q.rollouts.functions import Choices, make_explore
+from sb3_adaptive_q.step_sizes.cells import keep_mu, scalar_size, scope_shape
+from sb3_adaptive_q.training_state import TrainingState, number_of_state
+
+#: The bounds of a step size that has no memory: none, as a scalar is checked where it is formed
+_NO_BOUNDS = (float("-inf"), float("inf"))
+
+
+class StepSizeInForce:
+    """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: its method, its μ and its exploration rate."""
+
+    training: TrainingState
+    policy: Any
+    choices: Choices
+    learning_rate: Any
+    lr_schedule: Any
+    method: int | str | None
+    method_kwargs: dict[str, Any] | None
+    _method: InstalledMethod | None
+    _missing_method: MethodData | None
+    _known_learning_rate: Any
+
+    _exploration_rate = number_of_state("epsilon", "The exploration rate in force.")
+    _mu = number_of_state("mu", "The scalar step size in force.")
+    _progress = number_of_state("progress", "The part of the training that is done.")
+
+    @property
+    def mu(self) -> float:
+        """
+        The step size of the next update, from 0 to 1; with a method that has one for each entry, the one used last. It may be
+        set, by a callback of your own too: a method computes on from what was set. Without a method it holds until ``learn``
+        ends. Where there is one for each entry, to set it is an error.
+        """
+        return self._mu
+
+    @mu.setter
+    def mu(self, value: float) -> None:
+        check_step_size("mu", value)
+        if self._method is not None and self._method.has_memory:
+            raise ValueError(
+                f"{self._method.data.label} has a step size for each entry, so `mu` cannot be set: change its arrays, "
+                "`model.memory`, or install another method."
+            )
+        self.training.record["mu"] = value
+        if self._method is None:
+            self.training.record["holds_mu"] = 1
+
+    @property
+    def exploration_rate(self) -> float:
+        """
+        The exploration rate ε in force; with Boltzmann exploration, the temperature. A callback may set it: then it holds
+        until ``learn`` ends.
+        """
+        return self._exploration_rate
+
+    @exploration_rate.setter
+    def exploration_rate(self, value: float) -> None:
+        self._check_exploration_rate("exploration_rate", value)
+        self.training.record["epsilon"] = value
+        self.training.record["holds_epsilon"] = 1
+
+    @property
+    def memory(self) -> dict[str, np.ndarray]:
+        """
+        The live arrays of the step size by name, ``"visits"`` for its counts: of shape (n_states, n_actions), (n_states, 1) or
+        (1, 1) after its scope, with a leading axis of tables where the algorithm has several.
+        """
+        arrays = {name: getattr(self.policy, MEMORY + name).numpy() for name in self.policy.memory_names()}
+        return {name: array[0] if self.n_tables == 1 else array for name, array in arrays.items()}  # type: ignore[attr-defined]
+
+    def install_method(self, method: InstalledMethod, restart: bool) -> None:
+        """
+        Put a method in force; called by its callback when training starts.
+
+        :param method: the method
+        :param restart: whether μ and the memory start anew even where the same method is in force already
+        :raises ValueError: if the method resets μ with every episode and there are several environments
+        """
+        in_force = self._missing_method if self._method is None else self._method.data
+        starts = restart or method.data != in_force
+        self._use_method(method)
+        self._missing_method = None
+        if starts:
+            self._declare_memory(method)
+            self.training.record["mu"] = method.start()
+        self._choose_functions()
+
+    def _use_method(self, method: InstalledMethod | None) -> None:
+        n_envs = getattr(self, "n_envs", 1)
+        if method is not None and method.data.reset_each_episode and n_envs > 1:
+            raise ValueError(
+                f"`reset_each_episode` needs a single environment, but got {n_envs}: they share one μ, and their "
+                "episodes begin at different times."
+            )
+        self._method = method
+        record, data = self.training.record, method.data if method is not None else None
+        record["next_action"] = NEXT_ACTIONS[data.next_action] if data else NEXT_ACTIONS["same"]
+        record["resets_mu"] = data.reset_each_episode if data else False
+        record["mu_0"] = method.start() if method is not None else 0.0
+
+    def _declare_memory(self, method: InstalledMethod) -> None:
+        """Give the step size its arrays, all anew."""
+        policy: TabularQPolicy = self.policy
+        shape = (self.n_tables, *scope_shape(method.data.scope, policy.n_states, policy.n_actions))  # type: ignore[attr-defined]
+        policy.forget_memory()
+        for name, start in method.array_starts.items():
+            policy.declare({MEMORY + name: shape}, start)
+
+    def _step_size_memory(self) -> tuple[Any, ...]:
+        """Arrays, parameters and bounds of the step size, as machine code takes them."""
+        method = self._method
+        if method is None:
+            return (), self._schedule_parameters, _NO_BOUNDS
+        arrays = tuple(getattr(self.policy, MEMORY + name).numpy() for name in method.array_starts)
+        return arrays, method.arguments, tuple(map(float, method.data.bounds))
+
+    def _choose_functions(self) -> None:
+        """Put together what a learning loop is made of, as the model's attributes have it now."""
+        self._schedule_parameters: tuple[float, ...] = ()
+        size, rule = scalar_size, keep_mu
+        if self._method is not None:
+            size, rule = self._method.size_function, self._method.rule_function
+        else:
+            rule = self._schedule_rule()
+        model: Any = self
+        self.choices = Choices(
+            model.update_function(), size, rule, (model.exploration, model.ties), model.exploration_schedule,
+            model.use_masking, model.chooses_before_update,
+        )  # fmt: skip
+
+    def _schedule_rule(self) -> Any:
+        """The rule of a learning rate without a method: a constant, a line, or a function of the remaining progress."""
+        schedule = self.lr_schedule
+        while isinstance(schedule, FloatSchedule):
+            schedule = schedule.value_schedule
+        if isinstance(schedule, ConstantSchedule):
+            return keep_mu
+        if isinstance(schedule, LinearSchedule):
+            self._schedule_parameters = (float(schedule.start), float(schedule.end), float(schedule.end_fraction))
+            return _linear_schedule
+
+        def scheduled(mu, step):  # type: ignore[no-untyped-def]
+            return float(schedule(1.0 - step.progress))
+
+        return scheduled
+
+    def _start_step_size(self, restart: bool) -> None:
+        """Before any callback is called, so that one may set another μ when training starts."""
+        record = self.training.record
+        record["holds_mu"] = record["holds_epsilon"] = 0
+        if self.learning_rate is not self._known_learning_rate:  # set since the last time, as SB3's users do
+            self._setup_lr_schedule()  # type: ignore[attr-defined]
+            self._known_learning_rate = self.learning_rate
+            if self._method is not None:
+                warnings.warn(
+                    f"`learning_rate` is ignored, because the method {self._method.data.label} is in force: set `method` or "
+                    "hand `learn` another method.",
+                    stacklevel=4,
+                )
+        record["progress"] = progress = self._progress_made()
+        if self._method is not None:
+            if restart:
+                self._declare_memory(self._method)
+                record["mu"] = self._method.start()
+        elif restart or self._missing_method is None:
+            self.mu = float(self.lr_schedule(1.0 - progress))
+            record["holds_mu"] = 0
+        self._choose_functions()
+
+    def _start_exploration(self) -> None:
+        record = self.training.record
+        for name, value in (
+            ("gamma", self.gamma),  # type: ignore[attr-defined]
+            ("exploration_initial", self.exploration_initial_eps),  # type: ignore[attr-defined]
+            ("exploration_final", self.exploration_final_eps),  # type: ignore[attr-defined]
+            ("exploration_fraction", self.exploration_fraction),  # type: ignore[attr-defined]
+        ):
+            record[name] = value
+        explore = as_python(make_explore(self.choices.behaviour, self.exploration_schedule))  # type: ignore[attr-defined]
+        epsilon = explore(record.view(np.recarray)[0], float(record["progress"][0]))
+        self._check_exploration_rate("exploration_schedule", epsilon)
+        record["epsilon"] = epsilon
+
+    def _progress_made(self) -> float:
+        record = self.training.record[0]
+        if record["total_episodes"] > 0:
+            return float(min(record["n_episodes"] / record["total_episodes"], 1.0))
+        return float(min(record["num_timesteps"] / max(record["total_timesteps"], 1), 1.0))
+
+    def own_functions(self) -> str:
+        """
+        :return: the method or schedule whose functions a learning loop is made of, for messages
+        """
+        named = [] if isinstance(self.exploration_schedule, str) else ["`exploration_schedule`"]  # type: ignore[attr-defined]
+        if self._method is not None:
+            named.insert(0, f"The method {self._method.data.owner}")
+        elif self.choices.rule is not keep_mu:
+            named.insert(0, "`learning_rate`")
+        return " or ".join(named) or f"The update of {type(self).__name__}"
+
+    def _install_own_method(self) -> None:
+        """The method of the constructor's arguments, where there is one."""
+        self._missing_method = None  # of a file, whose class is not imported
+        self._use_method(None)
+        if self.method is not None:
+            self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
+
+    def _check_exploration(self) -> None:
+        for name, known in (("exploration", EXPLORATIONS), ("ties", TIES)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"`{name}` must be one of {', '.join(known)}, but got {getattr(self, name)!r}.")
+        schedule = self.exploration_schedule  # type: ignore[attr-defined]
+        if not callable(schedule) and schedule not in SCHEDULES:
+            raise ValueError(
+                f"`exploration_schedule` must be one of {', '.join(SCHEDULES)}, or a function of the progress, but got "
+                f"{schedule!r}."
+            )
+        for name in ("exploration_initial_eps", "exploration_final_eps"):
+            self._check_exploration_rate(name, getattr(self, name))
+            if schedule == "exponential" and not getattr(self, name) > 0.0:
+                raise ValueError(f"`{name}` must be above 0 for an exponential schedule, but got {getattr(self, name)!r}.")
+
+    def _check_exploration_rate(self, name: str, value: Any) -> None:
+        if self.exploration == "boltzmann":  # type: ignore[attr-defined]
+            if not (isinstance(value, int | float | np.number) and 0.0 < float(value) < float("inf")):
+                raise ValueError(
+                    f"`{name}` is the temperature of Boltzmann exploration and must be above 0, but got {value!r}."
+                )
+        else:
+            check_step_size(name, value)
+
+
+def _linear_schedule(mu, step, start, end, end_fraction):  # type: ignore[no-untyped-def]
+    """SB3's LinearSchedule."""
+    done = 1.0 - (1.0 - step.progress)  # rounded as where SB3 hands over the remaining progress
+    return end if done > end_fraction else start + done * (end - start) / end_fraction

@@ -1,0 +1,106 @@
+"""All that learning changes besides the table and the step size's memory: one record, the agent's random counter in it."""
+
+from math import inf, isnan
+from typing import Any
+
+import numpy as np
+
+from sb3_adaptive_q.compiled.loops import LEARNER
+
+_NAMES = LEARNER.names or ()
+#: What the attributes of a model decide, and what tells of a refused transition
+_NOT_RESTORED = {
+    "gamma", "exploration_initial", "exploration_final", "exploration_fraction", "mu_0", "next_action", "resets_mu", "refused",
+    "value",
+}  # fmt: skip
+_PLACES = {name: place for place, name in enumerate(_NAMES)}
+
+
+class TrainingState:
+    """
+    The scalars of a learner, which machine code reads and writes in place; see ``LEARNER``.
+    """
+
+    def __init__(self) -> None:
+        self.record = np.zeros(1, LEARNER)
+        self._view()
+        self.forget_updates()
+
+    def _view(self) -> None:
+        #: The agent's random counter
+        self.draws: np.ndarray = self.record["counter"]
+        # Entries of a memory view are Python's numbers, and cost a third of what a record's fields cost
+        self._integers: Any = memoryview(self.record.view(np.int64))  # type: ignore[arg-type]
+        self._numbers: Any = memoryview(self.record.view(np.float64))  # type: ignore[arg-type]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"record": self.record.copy()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._view()
+
+    def forget_updates(self) -> None:
+        """Begin to add up anew what the logger shows of the updates."""
+        self.record["mu_sum"] = self.record["td_error_sum"] = 0.0
+        self.record["mu_min"], self.record["mu_max"] = inf, -inf
+        self.record["n_logged"] = self.record["n_updates"]
+
+    def as_data(self) -> dict[str, Any]:
+        """
+        :return: the record as numbers by name
+        """
+        return {name: self.record[name].item() for name in _NAMES}
+
+    def restore(self, data: dict[str, Any]) -> None:
+        """
+        Take over what a training has moved.
+
+        :param data: some or all of what :meth:`as_data` returned
+        :raises ValueError: if a number is not one that a training reaches
+        """
+        known = {name: value for name, value in data.items() if name in _PLACES and name not in _NOT_RESTORED}
+        for name, value in known.items():
+            is_number = isinstance(value, int | float) and not isinstance(value, bool) and not isnan(value)
+            if name in ("mu", "progress"):
+                is_sound = is_number and 0.0 <= value <= 1.0
+            elif LEARNER[name].kind == "f":
+                is_sound = is_number and (value >= 0.0 or name == "mu_max")
+            else:
+                is_sound = type(value) is int and 0 <= value <= np.iinfo(LEARNER[name]).max
+            if not is_sound:
+                expected = "from 0 to 1" if name in ("mu", "progress") else "a number that counts something"
+                raise ValueError(f"`{name}` must be {expected}, but got {value!r}.")
+        for name, value in known.items():
+            self.record[name] = value
+
+
+def integer_of_state(name: str, meaning: str) -> Any:
+    """
+    :param name: a field of ``LEARNER``
+    :param meaning: the docstring
+    :return: a property of a model that reads and writes it
+    """
+    place = _PLACES[name]
+
+    def read(model: Any) -> int:
+        return model.training._integers[place]
+
+    def write(model: Any, value: int) -> None:
+        model.training._integers[place] = int(value)
+
+    return property(read, write, doc=meaning)
+
+
+def number_of_state(name: str, meaning: str) -> Any:
+    """
+    :param name: a field of ``LEARNER``
+    :param meaning: the docstring
+    :return: a property of a model that reads it
+    """
+    place = _PLACES[name]
+
+    def read(model: Any) -> float:
+        return model.training._numbers[place]
+
+    return property(read, doc=meaning)

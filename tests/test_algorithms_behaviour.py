@@ -1,0 +1,363 @@
+"""How actions are chosen: probabilities, expectations, masks, what a rule sees of them, and what was exploratory."""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.wrappers import TimeLimit
+from scipy import stats
+from scipy.special import softmax
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+
+from sb3_adaptive_q import (
+    ALGORITHMS,
+    SARSA,
+    CompiledVecEnv,
+    LearningRateCallback,
+    TabularAlgorithm,
+    TabularQ,
+)
+from sb3_adaptive_q.action_masks import make_masked
+from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS
+from sb3_adaptive_q.compiled.jit import as_python
+from sb3_adaptive_q.rollouts import step_rollout
+
+#: The algorithms with what differs from the defaults of their class
+VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+    **{name: (name, {}) for name in ALGORITHMS},
+    "double_expected_sarsa": ("double_q", {"target": "expected"}),
+    "true_online": ("sarsa_lambda", {"true_online": True}),
+    "naive": ("q_lambda", {"variant": "naive"}),
+    "peng": ("q_lambda", {"variant": "peng"}),
+    **{f"n_step_{target}": ("n_step", {"target": target}) for target in ("expected", "q", "tree_backup")},
+}
+TABLE = np.array([[1.0, 3.0, 3.0, -2.0], [0.0, 0.0, 0.0, 0.0], [0.5, 0.25, 2.0, 1.0]])
+VALUES = np.array([[4.0, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 5.0], [1.0, 2.0, 4.0, 8.0]])
+MASKS = {"all": np.ones((3, 4), bool), "some": np.array([[1, 0, 1, 1], [0, 1, 1, 0], [0, 0, 0, 1]], bool)}
+
+
+def probabilities(name: tuple[str, str], values: np.ndarray, rate: float) -> np.ndarray:
+    """What a behaviour policy does in a state with these action values."""
+    exploration, ties = name
+    if exploration == "boltzmann":
+        return softmax(values / rate)
+    best = values == values.max()
+    if ties == "first":
+        best = np.arange(len(values)) == values.argmax()
+    return rate / len(values) + (1.0 - rate) * best / best.sum()
+
+
+@pytest.mark.parametrize("mask", MASKS)
+@pytest.mark.parametrize("name", BEHAVIOURS, ids="-".join)
+@pytest.mark.parametrize("state", range(3))
+class TestPolicies:
+    rate = 0.4
+
+    def tables(self, mask: str) -> tuple[np.ndarray, ...]:
+        return TABLE, MASKS[mask], np.zeros((2, 1, 4))
+
+    def expected(self, name: tuple[str, str], mask: str, state: int) -> np.ndarray:
+        allowed = MASKS[mask][state]
+        chances = np.zeros(4)
+        chances[allowed] = probabilities(name, TABLE[state][allowed], self.rate)
+        return chances
+
+    def test_expectation(self, name: tuple[str, str], mask: str, state: int) -> None:
+        """Of other values, and of those that the policy looks at."""
+        chances = self.expected(name, mask, state)
+        policies = [make_masked(BEHAVIOURS[name])] + ([BEHAVIOURS[name]] if mask == "all" else [])
+        for policy in policies:
+            for values in (VALUES, TABLE):
+                found = policy.expect(self.tables(mask), values, state, self.rate)
+                np.testing.assert_allclose(found, chances @ values[state], rtol=1e-14)
+
+    def test_choice(self, name: tuple[str, str], mask: str, state: int) -> None:
+        """The seed is fixed; of other seeds, one in 10 000 would fail."""
+        chances, draws, n_draws = self.expected(name, mask, state), np.array([7], np.uint64), 3000
+        choose = as_python(make_masked(BEHAVIOURS[name]).choose)
+        counts = np.bincount([choose(self.tables(mask), state, self.rate, draws) for _ in range(n_draws)], minlength=4)
+        possible = chances > 0.0
+        assert (counts[~possible] == 0).all()
+        if possible.sum() > 1:
+            assert stats.chisquare(counts[possible], n_draws * chances[possible]).pvalue > 1e-4
+
+    def test_best(self, name: tuple[str, str], mask: str, state: int) -> None:
+        allowed = np.where(MASKS[mask][state], VALUES[state], -np.inf)
+        action, value = make_masked(BEHAVIOURS[name]).best(self.tables(mask), VALUES, state)
+        assert (action, value) == (allowed.argmax(), allowed.max())
+
+
+def in_python(patch: pytest.MonkeyPatch) -> None:
+    """Run updates as Python, so that a rule can append to a list and nothing has to be compiled."""
+    patch.setattr(step_rollout, "is_disabled", lambda: True)
+
+
+class Recorder(BaseCallback):
+    """What was there before every update."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tables: list[np.ndarray] = []
+        self.actions: list[int] = []
+        self.dones: list[bool] = []
+        self.terminated: list[bool] = []
+        self.states: list[int] = []
+        self.reached: list[int] = []
+        self.exploratory: list[bool] = []
+
+    def _on_step(self) -> bool:
+        model: Any = self.model
+        double = model.n_tables == 2
+        self.tables.append((model.q_tables if double else model.q_table).copy())
+        (action,), (done,), (info,) = self.locals["actions"], self.locals["dones"], self.locals["infos"]
+        self.actions.append(int(action))
+        self.dones.append(bool(done))
+        self.terminated.append(bool(done) and not info["TimeLimit.truncated"])
+        self.states.append(int(model._last_obs[0]))
+        self.reached.append(int(info["terminal_observation"] if done else self.locals["new_obs"][0]))
+        self.exploratory.append(bool(model.was_exploratory()[0]))
+        return True
+
+
+def learn_and_record(name: str, callbacks: list[BaseCallback], n_steps: int = 300, **arguments: Any) -> TabularAlgorithm:
+    """Learn on a lake whose episodes are cut after 12 steps; the recorder is the first of the callbacks."""
+    key, own = VARIANTS[name]
+    env = make_vec_env("FrozenLake-v1", 1, env_kwargs={"max_episode_steps": 12}, seed=1)
+    arguments = {"gamma": 0.9, "exploration_initial_eps": 0.5, "exploration_final_eps": 0.5, "seed": 1, **own, **arguments}
+    start = np.random.default_rng(0).random((16, 4))
+    model = ALGORITHMS[key]("MlpPolicy", env, learning_rate=0.5, initial_q=start, **arguments)
+    return model.learn(n_steps, callback=callbacks, log_interval=None)
+
+
+@pytest.mark.parametrize("next_action", ["same", "next", "max"])
+@pytest.mark.parametrize("name", VARIANTS)
+def test_what_a_rule_sees(name: str, next_action: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values of the table before the update, of the action that ``next_action`` names; of two tables, the updated one."""
+    seen: list[Any] = []
+
+    class Watching(LearningRateCallback):
+        @staticmethod
+        def rule(mu: float, step: Any) -> float:
+            seen.append(step)
+            return 0.5
+
+    in_python(monkeypatch)
+    record, watching = Recorder(), Watching(mu_0=0.5, next_action=next_action)
+    model = learn_and_record(name, [record, watching])
+    after = [*record.tables[1:], model.policy.q_tables.numpy() if model.n_tables == 2 else model.q_table]
+    assert len(seen) == len(record.tables) == 300
+    n_checked = 0
+    for place, step in enumerate(seen):
+        before = record.tables[place]
+        if model.n_tables == 2:
+            changed = [coin for coin in range(2) if (before[coin] != after[place][coin]).any()]
+            if len(changed) != 1:
+                continue
+            before = before[changed[0]]
+        state, reached, action = record.states[place], record.reached[place], record.actions[place]
+        assert (step.state, step.action, step.value) == (state, action, before[state, action])
+        if record.terminated[place]:
+            assert step.next_value == 0.0
+        elif next_action == "max":
+            assert step.next_value == before[reached].max()
+        elif next_action == "same":
+            assert step.next_value == before[reached, action]
+        elif record.dones[place]:  # the action that would have been taken there is not known
+            assert step.next_value in before[reached]
+        elif place + 1 < len(seen):
+            assert step.next_value == before[reached, record.actions[place + 1]]
+        n_checked += 1
+    assert n_checked > 250
+
+
+@pytest.mark.parametrize("name", ["tabular_q", "sarsa", "sarsa_lambda", "q_lambda", "n_step", "peng"])
+def test_what_was_exploratory(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the table that the action was chosen from: after the update before, or before it where the algorithm chooses so."""
+    in_python(monkeypatch)
+    record = Recorder()
+    model = learn_and_record(name, [record])
+    for place in range(1, 300):
+        chosen_before = model.chooses_before_update and not record.dones[place - 1]
+        row = record.tables[place - 1 if chosen_before else place][record.states[place]]
+        assert record.exploratory[place] == (row[record.actions[place]] < row.max())
+    # Half of the actions are drawn at random, of which a quarter are greedy; five standard errors
+    assert np.mean(record.exploratory) == pytest.approx(0.375, abs=5 * (0.375 * 0.625 / 300) ** 0.5)
+
+
+class TestExploratory:
+    def test_with_several_environments(self) -> None:
+        shapes = []
+
+        def look(found: dict[str, Any], _: dict[str, Any]) -> bool:
+            shapes.append(found["self"].was_exploratory().shape)
+            return True
+
+        env = make_vec_env("FrozenLake-v1", 3)
+        TabularQ("MlpPolicy", env, exploration_initial_eps=0.0, exploration_final_eps=0.0).learn(9, callback=look)
+        assert shapes == [(3,)] * 3
+
+    def test_it_is_unknown_before_learning_and_on_a_compiled_environment(self) -> None:
+        with pytest.raises(RuntimeError, match="ordinary environment"):
+            TabularQ("MlpPolicy", "FrozenLake-v1").was_exploratory()
+        model = TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv), seed=0)
+        model.learn(10, log_interval=None)
+        with pytest.raises(RuntimeError, match="LeanVecEnv"):
+            model.was_exploratory()
+
+
+class MaskedEnv(gym.Env):
+    """
+    A random walk over seven states, in each of which one action of three is forbidden; taking it is an error.
+
+    :param mask: makes the mask of a state
+    """
+
+    def __init__(self, mask: Callable[[int], Any] = lambda state: np.arange(3) != state % 3) -> None:
+        self.observation_space, self.action_space = spaces.Discrete(8), spaces.Discrete(3)
+        self.mask = mask
+
+    def info(self) -> dict[str, Any]:
+        mask = self.mask(self.state)
+        return {} if mask is None else {"action_mask": np.asarray(mask, np.int8)}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.state = int(self.np_random.integers(7))
+        return self.state, self.info()
+
+    def step(self, action: Any) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        assert self.info()["action_mask"][action], f"the forbidden action {action} in state {self.state}"
+        self.state = int(self.np_random.integers(8))
+        terminated = self.state == 7
+        return self.state, 1.0, terminated, False, {} if terminated else self.info()
+
+
+FORBIDDEN = 1e6
+START = np.where(np.arange(3) == np.arange(8)[:, None] % 3, FORBIDDEN, 0.0)
+
+
+@pytest.mark.parametrize("exploration", EXPLORATIONS)
+@pytest.mark.parametrize("name", VARIANTS)
+def test_masks_in_behaviour_and_targets(name: str, exploration: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forbidden actions have large values here, which would show in the others if they were taken or looked at."""
+    in_python(monkeypatch)
+    (key, own), rate = VARIANTS[name], {"epsilon_greedy": 0.5, "boltzmann": 5.0}[exploration]
+    model = ALGORITHMS[key](
+        "MlpPolicy", make_masked_env(n_envs=2), learning_rate=0.5, gamma=0.9, initial_q=START, use_masking=True, seed=0,
+        exploration=exploration, exploration_initial_eps=rate, exploration_final_eps=rate, **own,
+    )  # fmt: skip
+    model.learn(400, log_interval=None)
+    allowed = START == 0.0
+    assert (model.q_table[~allowed] == FORBIDDEN).all()
+    assert (model.q_table[:7][allowed[:7]] > 0.0).all() and (model.q_table[allowed] < 1000.0).all()
+
+
+def make_masked_env(n_envs: int = 1, **arguments: Any) -> Any:
+    return make_vec_env(lambda: TimeLimit(MaskedEnv(**arguments), 10), n_envs)
+
+
+class TestMasks:
+    @pytest.mark.parametrize("name", ["tabular_q", "double_expected_sarsa", "n_step_tree_backup"])
+    def test_a_mask_that_allows_all_changes_nothing(self, name: str) -> None:
+        """Bit for bit, in machine code."""
+        key, own = VARIANTS[name]
+        tables = [
+            ALGORITHMS[key]("MlpPolicy", make_masked_env(mask=lambda _: np.ones(3)), seed=0, use_masking=masked, **own)
+            .learn(300, log_interval=None)
+            .q_table
+            for masked in (False, True)
+        ]
+        assert tables[0].tobytes() == tables[1].tobytes()
+
+    def test_taxi(self) -> None:
+        """Without the actions that change nothing and those that are illegal, which cost 10, no step costs more than 1."""
+        model = SARSA("MlpPolicy", "Taxi-v4", use_masking=True, seed=0, learning_rate=0.5)
+        rewards: list[float] = []
+        model.learn(2000, callback=lambda found, _: rewards.append(float(found["rewards"][0])) or True, log_interval=None)
+        assert set(rewards) <= {-1.0, 20.0}
+        env = gym.make("Taxi-v4")
+        observation, info = env.reset(seed=3)
+        for _ in range(100):
+            action, _ = model.predict(observation, action_masks=info["action_mask"])
+            assert info["action_mask"][action] == 1
+            observation, reward, terminated, truncated, info = env.step(action)
+            assert reward in (-1, 20)
+            if terminated or truncated:
+                observation, info = env.reset()
+
+    def test_a_callback_may_stop_in_the_middle_of_an_episode(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        in_python(monkeypatch)
+        model = TabularQ("MlpPolicy", make_masked_env(), use_masking=True, seed=0)
+        model.learn(100, callback=lambda found, _: found["self"].num_timesteps < 4, log_interval=None)
+        model.learn(100, reset_num_timesteps=False, log_interval=None)
+        assert model.num_timesteps == 104
+
+    @pytest.mark.parametrize(
+        ("mask", "message"),
+        [
+            (lambda state: None, r'needs `info\["action_mask"\]` from every reset and step'),
+            (lambda state: np.ones(2), r"must have the shape \(3,\), but has \(2,\)"),
+            (lambda state: np.full(3, state != 5), "mask of state 5 forbids every action"),
+        ],
+    )
+    def test_a_bad_mask(self, mask: Callable[[int], Any], message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        in_python(monkeypatch)
+        model = TabularQ("MlpPolicy", make_masked_env(mask=mask), use_masking=True, seed=0)
+        with pytest.raises(ValueError, match=message):
+            model.learn(100)
+
+    def test_the_compiled_path_refuses(self) -> None:
+        model = TabularQ("MlpPolicy", make_vec_env("Taxi-v4", vec_env_cls=CompiledVecEnv), use_masking=True)
+        with pytest.raises(ValueError, match="Compiled environments give no action masks"):
+            model.learn(10)
+
+
+class TestPredict:
+    @pytest.fixture
+    def model(self) -> TabularQ:
+        model = TabularQ("MlpPolicy", make_masked_env())
+        model.q_table = np.arange(24.0).reshape(8, 3) / 10
+        return model
+
+    def test_masks(self, model: TabularQ) -> None:
+        for deterministic in (True, False):
+            actions, _ = model.predict(np.array([0, 1]), deterministic=deterministic, action_masks=[[1, 1, 0], [1, 0, 0]])
+            np.testing.assert_array_equal(actions, [1, 0])
+            action, _ = model.predict(2, deterministic=deterministic, action_masks=[0, 1, 0])
+            assert action == 1 and np.shape(action) == ()
+
+    def test_bad_masks(self, model: TabularQ) -> None:
+        with pytest.raises(ValueError, match=r"must have the shape \(2, 3\), but has \(1, 3\)"):
+            model.predict(np.array([0, 1]), action_masks=[1, 1, 0])
+        with pytest.raises(ValueError, match="forbids every action"):
+            model.predict(0, action_masks=[0, 0, 0])
+
+    @pytest.mark.parametrize("exploration", EXPLORATIONS)
+    @pytest.mark.parametrize("mask", [[1, 1, 1], [1, 0, 1]])
+    def test_it_explores_as_the_behaviour_policy(self, exploration: str, mask: list[int]) -> None:
+        """The seed is fixed; of other seeds, one in 10 000 would fail."""
+        model = TabularQ("MlpPolicy", make_masked_env(), exploration=exploration, seed=0)
+        model.q_table = np.arange(24.0).reshape(8, 3) / 10
+        model.exploration_rate = 0.3
+        actions, _ = model.predict(np.full(3000, 4), action_masks=np.tile(mask, (3000, 1)))
+        allowed = np.flatnonzero(mask)
+        chances = probabilities((exploration, "first"), model.q_table[4][allowed], 0.3)
+        counts = np.bincount(actions, minlength=3)
+        assert counts[allowed].sum() == 3000
+        assert stats.chisquare(counts[allowed], 3000 * chances).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), "0.5"])
+def test_a_bad_temperature(rate: Any) -> None:
+    for name in ("exploration_initial_eps", "exploration_final_eps"):
+        with pytest.raises(ValueError, match=f"`{name}` is the temperature of Boltzmann exploration and must be above 0"):
+            TabularQ("MlpPolicy", "FrozenLake-v1", exploration="boltzmann", **{name: rate})
+
+
+def test_an_unknown_behaviour() -> None:
+    with pytest.raises(ValueError, match="`exploration` must be one of epsilon_greedy, boltzmann, but got 'softmax'"):
+        TabularQ("MlpPolicy", "FrozenLake-v1", exploration="softmax")

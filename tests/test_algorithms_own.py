@@ -1,0 +1,57 @@
+"""An algorithm of a user's own: temporal-difference learning with a clipped target, in a few lines, compiled too."""
+
+import inspect
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3.common.env_util import make_vec_env
+
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularAlgorithm, TabularQ
+from sb3_adaptive_q.algorithms.td_update import choose_after, td_update
+
+
+def clipped_update(tables, agent, size, choose, expect, best, memory, draws, t):  # type: ignore[no-untyped-def]
+    low, high = agent.parameters
+    best_value = 0.0 if t.terminated else best(tables, tables[0], t.next_state)[1]
+    target = min(max(t.reward + agent.gamma * best_value, low), high)
+    step = td_update(tables[0], agent, size, memory, t, target, best_value)
+    return choose_after(tables, tables[0], agent, choose, draws, t, step, best_value)
+
+
+class ClippedQ(TabularAlgorithm):
+    """Q-learning with targets that are clipped to [low, high]."""
+
+    update = staticmethod(clipped_update)
+
+    def __init__(self, policy: Any, env: Any, low: float = -1.0, high: float = 1.0, **kwargs: Any) -> None:
+        self.low, self.high = low, high
+        super().__init__(policy, env, **kwargs)
+
+    def update_parameters(self) -> tuple[float, ...]:
+        return self.low, self.high
+
+
+def learn(kind: type[Any], n_envs: int, algorithm: type[TabularAlgorithm] = ClippedQ, **arguments: Any) -> TabularAlgorithm:
+    env = make_vec_env("Taxi-v4", n_envs, vec_env_cls=kind)
+    return algorithm("MlpPolicy", env, seed=0, learning_rate=0.5, **arguments).learn(3000, log_interval=None)
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_both_paths_give_the_same(n_envs: int) -> None:
+    tables = [learn(kind, n_envs).q_table for kind in (CompiledVecEnv, LeanVecEnv)]
+    assert tables[0].tobytes() == tables[1].tobytes()
+
+
+def test_its_targets_are_clipped() -> None:
+    """Illegal actions cost 10, which shows without the clip."""
+    assert learn(CompiledVecEnv, 1, TabularQ).q_table.min() < -5.0
+    assert learn(CompiledVecEnv, 1, low=-2.0).q_table.min() == pytest.approx(-2.0, abs=0.1)
+    np.testing.assert_array_equal(
+        learn(CompiledVecEnv, 1, low=-1e9, high=1e9).q_table, learn(CompiledVecEnv, 1, TabularQ).q_table
+    )
+
+
+def test_it_takes_few_lines() -> None:
+    lines = (inspect.getsource(clipped_update) + inspect.getsource(ClippedQ)).splitlines()
+    assert sum(bool(line.strip()) for line in lines) <= 20
