@@ -25,7 +25,7 @@ INK, PAPER, AGENT = "#222222", "#FFFFFF", "#D55E00"
 
 # Darker without exception, so that grey print keeps the order; light enough throughout for black letters
 SEQUENTIAL: Colormap = ListedColormap([colormaps["YlGnBu"](0.03 + 0.52 * i / 255) for i in range(256)], name="light_to_dark")
-SEQUENTIAL.set_bad(PAPER)
+SEQUENTIAL = SEQUENTIAL.with_extremes(bad=PAPER)
 
 
 class PlotFigure(Figure):
