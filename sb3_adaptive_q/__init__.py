@@ -26,6 +26,7 @@ from sb3_adaptive_q.callbacks import (
 from sb3_adaptive_q.many import learn_many
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy
 from sb3_adaptive_q.step_sizes import STEP_SIZES
+from sb3_adaptive_q.table_image import TableImageCallback
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 __version__ = (Path(__file__).parent / "version.txt").read_text().strip()
@@ -50,6 +51,7 @@ __all__ = [
     "QLambda",
     "SARSALambda",
     "SignRateCallback",
+    "TableImageCallback",
     "TabularAlgorithm",
     "TabularQ",
     "TabularQPolicy",

@@ -468,6 +468,24 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         record_logs(self)
         self._last_dump = self._episode_num
 
+    def to_frame(self) -> Any:
+        """
+        :return: the table, its greedy actions and the memory of the step size as a pandas DataFrame, a row for each state
+        :raises ModuleNotFoundError: if what it needs is not installed: the extra ``plots``
+        """
+        from sb3_adaptive_q.plots import to_frame
+
+        return to_frame(self)
+
+    def __repr__(self) -> str:
+        if not hasattr(self, "policy"):
+            return f"{type(self).__name__} without a table"
+        method = "learning_rate" if self._method is None else self._method.data.label
+        return (
+            f"{type(self).__name__}({method}, {self.policy.n_states} states, {self.policy.n_actions} actions, "
+            f"{self.num_timesteps} steps learned)"
+        )
+
     def predict(
         self,
         observation: np.ndarray | dict[str, np.ndarray],

@@ -235,7 +235,7 @@ class TestValues:
     @pytest.mark.parametrize(
         "schedule",
         [0.5, 1, "linear", ConstantSchedule(0.25), LinearSchedule(0.5, 0.1, 0.75), FloatSchedule(0.125), halve],
-        ids=repr,
+        ids=lambda schedule: getattr(schedule, "__name__", repr(schedule)),
     )
     def test_schedules(self, schedule):
         loaded = decode_schedule(json.loads(json.dumps(encode_schedule(schedule))))
