@@ -171,7 +171,7 @@ def check_memory(
     """
     needed, free = 8 * sum(prod(shape) for shape in shapes.values()), psutil.virtual_memory().available
     if needed > free:
-        arrays = ", ".join(f"{name.removeprefix(MEMORY)}: {_in_words(shape)}" for name, shape in shapes.items())
+        arrays = ", ".join(f"`{name.removeprefix(MEMORY)}` of {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(
             f"The arrays of the table and its memory ({arrays}) take {Decimal(needed) / 2**30:.1f} GiB, but "
             f"{free / 2**30:.1f} GiB of memory are free: {advice}."

@@ -17,7 +17,7 @@ from packaging.utils import canonicalize_name
 PROJECT = Path(__file__).resolve().parent.parent
 # Tests and benchmarks are copied too: that they stay out of the wheel is one of the things to be shown.
 SOURCES = ["pyproject.toml", "README.md", "LICENSE", "train.py", "sb3_adaptive_q", "wrappers", "tests", "benchmarks"]
-EXTRAS = {"zoo", "study", "dask", "dev"}
+EXTRAS = {"zoo", "study", "plots", "dask", "dev"}
 HEAVY = {
     "arch",
     "dask",
@@ -99,8 +99,8 @@ def test_wheel_holds_the_package_data(wheel: zipfile.ZipFile) -> None:
     }
     data |= {
         path.relative_to(PROJECT).as_posix()
-        for pattern in ("*.csv", "*.json")
-        for path in (PROJECT / "sb3_adaptive_q" / "study").rglob(pattern)
+        for pattern in ("*.csv", "*.css", "*.js", "*.yml")
+        for path in (PROJECT / "sb3_adaptive_q" / "experiments").rglob(pattern)
     }
     assert data <= set(wheel.namelist())
 

@@ -213,14 +213,14 @@ def test_learning_rate_replaces_the_yaml_method(run: Run, config: str) -> None:
 def test_vec_env(arguments: list[str], expected: type[VecEnv], run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of training and of the evaluations in between; the evaluation at the end plays the ordinary environment."""
     made = []
-    create_envs = zoo.TabularQExperiment.create_envs
+    create_envs = zoo.TabularExperiment.create_envs
 
-    def spy(self: zoo.TabularQExperiment, *positional: Any, **named: Any) -> VecEnv:
+    def spy(self: zoo.TabularExperiment, *positional: Any, **named: Any) -> VecEnv:
         env = create_envs(self, *positional, **named)
         made.append((type(env), env.num_envs, named.get("eval_env", False)))
         return env
 
-    monkeypatch.setattr(zoo.TabularQExperiment, "create_envs", spy)
+    monkeypatch.setattr(zoo.TabularExperiment, "create_envs", spy)
     run(*arguments, "-params", "n_envs:2", "--eval-freq", "1000")
     assert made == [(expected, 1, True), (expected, 2, False), (LeanVecEnv, 10, True)]
     assert (run.path() / "evaluations.npz").exists()
@@ -318,9 +318,9 @@ USAGE = 2
     ("arguments", "message"),
     [
         (["--env", "FrozenLak-v1"], "FrozenLak-v1 not found .* FrozenLake-v1"),
-        (["--env", "Blackjack-v1"], "Hyperparameters not found for tabular_q-Blackjack-v1"),
+        (["--env", "Blackjack-v1"], "observation space, but got Tuple"),
         (["--env", "CartPole-v1", "-params", "env_wrapper:None"], r"wrappers\.DiscretizeObservation"),
-        (["-params", "method:9"], "methods 1 to 8, but got 9"),
+        (["-params", "method:9"], "There are methods 1 to 8, .* but got 9"),
         (["-params", "gamma:2"], "`gamma` must be from 0 to 1, but got 2"),
         (["-params", "gama:0.9"], "unexpected keyword argument 'gama'"),
         (["-params", "gamma:high"], "'high' is not defined .*are Python"),
@@ -348,8 +348,8 @@ def test_yaml_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--method", "9"], "argument --method: invalid choice: 9"),
-        (["--method", "one"], "argument --method: invalid int value: 'one'"),
+        (["--method", "9"], "argument --method: There are methods 1 to 8"),
+        (["--method", "one"], "argument --method: There is no step size 'one'"),
         (["--vec-env", "fast"], "argument --vec-env: invalid choice: 'fast'"),
         (["--no-such-option"], "unrecognized arguments: --no-such-option"),
     ],

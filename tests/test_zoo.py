@@ -111,7 +111,7 @@ def test_two_learning_rates_on_the_command_line(rival: str) -> None:
 
 
 def test_config_has_the_environments() -> None:
-    assert set(CONFIG) == {"FrozenLake-v1", "CliffWalkingLimited-v1", "Taxi-v4", "CartPoleFriction-v0", "CartPole-v1"}
+    assert {"FrozenLake-v1", "CliffWalkingLimited-v1", "Taxi-v4", "CartPoleFriction-v0", "CartPole-v1"} < set(CONFIG)
     assert CONFIG["FrozenLake-v1"]["method"] == 1
     assert CONFIG["CartPoleFriction-v0"]["method"] == CONFIG["CartPole-v1"]["method"] == 2
 
@@ -122,7 +122,7 @@ def test_config_entries_are_complete(env_id: str) -> None:
     assert entry["n_timesteps"] > 0
     assert entry["policy"] == "MlpPolicy"
     # Without a step limit an evaluation of a poor greedy policy may never end
-    assert gym.spec(env_id).max_episode_steps is not None
+    assert env_id == "default" or gym.spec(env_id).max_episode_steps is not None
 
 
 @pytest.mark.parametrize("env_id", ["CartPoleFriction-v0", "CartPole-v1"])

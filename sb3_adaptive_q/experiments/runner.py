@@ -23,7 +23,7 @@ from sb3_adaptive_q.experiments.versions import everything_of
 #: How long to wait for a scheduler, in seconds
 CONNECTION_TIMEOUT = 10.0
 #: How the progress bar looks
-BAR: Any = {"unit_scale": True, "smoothing": 0.05}
+BAR: Any = {"unit": "run", "unit_scale": True, "smoothing": 0.05}
 
 Run = Callable[[Cell, Mapping[str, str]], Outcome]
 
