@@ -31,7 +31,7 @@ for steps, marker, shift in ((50_000, "x", -0.1), (500_000, "o", 0.1)):
 ax.axhline(TRUE_VALUE, color="gray", linestyle="--", label="true value")
 ax.set_xticks(range(len(STEP_SIZES)), [f"{step_size:g}" for step_size in STEP_SIZES])
 ax.set(xlabel="step size μ", ylabel="learned value of the start state")
-ax.set_title("A small μ learns slowly, a large one never settles", loc="left", fontsize="medium")
+ax.set_title("A small μ learns slowly; a large one keeps the noise, and overestimates", loc="left", fontsize="medium")
 ax.legend(frameon=False)
 figure.savefig("what_mu_does.png", dpi=150)
 plt.show()

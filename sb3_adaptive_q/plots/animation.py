@@ -60,7 +60,7 @@ def animate(
     except DependencyNotInstalled as error:
         raise ModuleNotFoundError(
             "pygame is missing, with which this environment draws itself: please install it with "
-            "pip install 'sb3-adaptive-q[plots]'."
+            "pip install 'gymnasium[classic-control,toy-text]'."
         ) from error
     finally:
         if playground is not env:

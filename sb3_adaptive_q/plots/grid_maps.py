@@ -149,8 +149,10 @@ def _mark_start_and_end(letters: np.ndarray, inner: Any) -> None:
     flat = letters.ravel()  # a view
     for start in np.flatnonzero(getattr(inner, "initial_state_distrib", np.zeros(0))):
         flat[start] = flat[start] or START
-    for _, next_state, _, terminated in _outcomes(inner):
-        if terminated and flat[next_state] in ("", START):
+    # Where an episode may go on, an action is taken
+    goes_on = {next_state for _, next_state, _, terminated in _outcomes(inner) if not terminated}
+    for _, next_state, _, _ in _outcomes(inner):
+        if next_state not in goes_on and flat[next_state] == "":
             flat[next_state] = TERMINAL
 
 

@@ -29,8 +29,7 @@ def draw_table(ax: Axes, quantity: Quantity, limits: tuple[float, float] | None)
     """
     values = quantity.values
     n_states, n_columns = values.shape
-    scale = color_scale(*(limits or (float(values.min()), float(values.max()))))
-    image = ax.imshow(values.T, cmap=SEQUENTIAL, norm=scale, aspect="auto", interpolation="nearest")
+    image = ax.imshow(values.T, cmap=SEQUENTIAL, norm=color_scale(values, limits), aspect="auto", interpolation="nearest")
     ax.set(xlabel="state", ylabel="action" if n_columns > 1 else "")
     ax.set_title(quantity.label, loc="left", fontsize="medium")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -120,9 +119,7 @@ def draw_plane(ax: Axes, plane: Plane, label: str, limits: tuple[float, float] |
     """
     values = plane.values.max(axis=2) if has_actions else plane.values.mean(axis=2)
     shown = np.ma.masked_invalid(values)
-    low, high = limits or ((float(shown.min()), float(shown.max())) if shown.count() else (0.0, 1.0))
-    scale = color_scale(low, high)
-    mesh = ax.pcolormesh(shown, cmap=SEQUENTIAL, norm=scale, rasterized=shown.size > _FEW_CELLS)
+    mesh = ax.pcolormesh(shown, cmap=SEQUENTIAL, norm=color_scale(values, limits), rasterized=shown.size > _FEW_CELLS)
     ax.set_facecolor("white")
     ax.figure.colorbar(mesh, ax=ax, label=label)
     _label_axis(ax, "x", plane)

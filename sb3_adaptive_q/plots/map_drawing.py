@@ -57,19 +57,20 @@ class MapDrawing:
 
     def draw_values(self, values: np.ndarray, table: np.ndarray | None) -> None:
         """
-        Colour the cells and write the numbers; with arrows for the greedy actions where a table is given.
+        Colour the cells and write the numbers; with arrows for the greedy actions where a table is given. Cells whose actions
+        are all equal stay white then: what the table started from would decide their colour.
 
         :param values: one for each row of the table, of shape (n_states,)
         :param table: of shape (n_states, n_actions)
         """
-        on_map = np.ma.masked_array(values[self.grid.states], mask=~self.is_open)
-        scale = self._scale(on_map)
+        on_map = values[self.grid.states]
+        is_colored = self.is_open if table is None else self.is_open & ~is_undecided(table)[self.grid.states]
         rows, columns = self.shape
         self.ax.pcolormesh(
-            np.arange(columns + 1) - 0.5, np.arange(rows + 1) - 0.5, on_map, cmap=SEQUENTIAL, norm=scale,
-            edgecolors=PAPER, linewidth=0.8,
+            np.arange(columns + 1) - 0.5, np.arange(rows + 1) - 0.5, np.ma.masked_array(on_map, mask=~is_colored),
+            cmap=SEQUENTIAL, norm=self._scale(on_map[is_colored]), edgecolors=PAPER, linewidth=0.8, gid="values",
         )  # fmt: skip
-        texts = number_texts(on_map.compressed())
+        texts = number_texts(on_map[self.is_open])
         cells = np.argwhere(self.is_open)
         offset = 0.0 if table is None else BELOW
         for (row, column), text in zip(cells, texts, strict=True):
@@ -115,8 +116,7 @@ class MapDrawing:
         self.agent.set_data([column], [row])
 
     def _scale(self, values: np.ndarray) -> Any:
-        low, high = self.limits or (float(values.min()), float(values.max()))
-        return color_scale(low, high)
+        return color_scale(values, self.limits)
 
     def _write(
         self, row: int, column: int, text: str, x: float = 0.0, y: float = 0.0, size: float = 1.0, **style: Any

@@ -3,6 +3,7 @@
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, ListedColormap, Normalize
@@ -51,13 +52,22 @@ def new_axes(size: tuple[float, float]) -> Axes:
     return figure.subplots()
 
 
-def color_scale(low: float, high: float) -> Normalize:
+def color_scale(values: np.ndarray, limits: tuple[float, float] | None) -> Normalize:
     """
-    :param low: the least value that is drawn
-    :param high: the largest one
+    :param values: what is drawn, of any shape; NaN for nothing
+    :param limits: the values that the lightest and the darkest colour stand for; ``None`` for the least and the largest
     :return: the scale of the colours; where all values are equal, one that gives the lightest colour
+    :raises ValueError: if the first limit is not below the second
     """
-    return Normalize(low, high if high > low else low + 1.0)
+    if limits is not None:
+        if not limits[0] < limits[1]:
+            raise ValueError(f"`limits` must be a smaller and a larger number, but got {limits}.")
+        return Normalize(*limits)
+    known = values[np.isfinite(values)]
+    if known.size and known.min() < known.max():
+        return Normalize(float(known.min()), float(known.max()))
+    low = float(known[0]) if known.size else 0.0
+    return Normalize(low, low + 1.0)
 
 
 def tidy(ax: Axes) -> None:
