@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from benchmarks.grid import N_EDGES, POLE_BOUNDS
+from sb3_adaptive_q.random_numbers import first_counter, uniform
 
 GAMMA = 0.99
 EPSILON, EPSILON_SLOPE = 1.0, 0.05 - 1.0
@@ -39,18 +40,21 @@ def by_sign(mu, value, next_value):
 RULES = {1: constant, 7: by_sign}
 
 
-def agent_generator(seed: int) -> np.random.Generator:
+draw = njit(**INLINED)(uniform)
+
+
+def agent_counter(seed: int) -> np.ndarray:
     """
     :param seed: of the model
-    :return: the generator that the model learns with
+    :return: the counter that the model's agent begins to draw from
     """
-    return np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
+    return np.array([first_counter(np.random.SeedSequence(seed).spawn(1)[0])], dtype=np.uint64)
 
 
 @njit(**INLINED)
 def choose(table, state, epsilon, agent):
-    if agent.random() < epsilon:
-        return int(agent.random() * table.shape[1])
+    if draw(agent) < epsilon:
+        return int(draw(agent) * table.shape[1])
     best, value = 0, table[state, 0]
     for action in range(1, table.shape[1]):
         if table[state, action] > value:
@@ -128,7 +132,7 @@ def make_lake_loop(method: int) -> Callable[[int, int], np.ndarray]:
 
     def learn(seed: int, n_steps: int) -> np.ndarray:
         table = np.zeros((16, 4))
-        loop(*arrays, table, np.random.default_rng(seed), agent_generator(seed), n_steps)
+        loop(*arrays, table, np.random.default_rng(seed), agent_counter(seed), n_steps)
         return table
 
     return learn
@@ -194,7 +198,7 @@ def make_pole_loop(method: int) -> Callable[[int, int], np.ndarray]:
 
     def learn(seed: int, n_steps: int) -> np.ndarray:
         table = np.zeros(((N_EDGES + 1) ** 4, 2))
-        loop(edges, table, np.random.default_rng(seed), agent_generator(seed), n_steps)
+        loop(edges, table, np.random.default_rng(seed), agent_counter(seed), n_steps)
         return table
 
     return learn

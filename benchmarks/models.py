@@ -34,4 +34,4 @@ def compiled_model(env_id: str, method: int, seed: int = 0, tensorboard_log: str
     """
     wrapper = discretize if env_id.startswith("CartPole") else None
     env = make_vec_env(env_id, vec_env_cls=CompiledVecEnv, wrapper_class=wrapper)
-    return TabularQ("MlpPolicy", env, method=method, seed=seed, tensorboard_log=tensorboard_log)
+    return TabularQ("MlpPolicy", env, method=method, seed=seed, ties="first", tensorboard_log=tensorboard_log)

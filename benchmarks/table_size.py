@@ -96,7 +96,9 @@ def walk(outcomes, table, n_steps):
 
 def _row(n_states: int) -> Row:
     env = RandomTableEnv(n_states)
-    model = TabularQ("MlpPolicy", CompiledVecEnv([lambda: Monitor(TimeLimit(env, EPISODE_STEPS))]), method=1, seed=0)
+    model = TabularQ(
+        "MlpPolicy", CompiledVecEnv([lambda: Monitor(TimeLimit(env, EPISODE_STEPS))]), method=1, seed=0, ties="first"
+    )
     visits = np.zeros((n_states, N_ACTIONS))
 
     def learn() -> Callable[[], Any]:
