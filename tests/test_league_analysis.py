@@ -172,9 +172,7 @@ def test_prediction_is_scored_by_the_best_constant_step_size(chosen: dict[str, n
     """Errors of 0.2 and 0.1 with the settings of the constant step size, 0.4 of another rule: it scores 0.25."""
     track = Track("C", "module:measure", {}, TASKS[:1], (RULES[0], RULES[2]))
     errors = {(0, 0, 0): 0.2, (0, 1, 0): 0.1, (1, 0, 0): 0.4}
-    runs = {
-        place: Runs(np.full((RUNS, CHECKPOINTS), error), np.full(RUNS, np.nan), []) for place, error in errors.items()
-    }
+    runs = {place: Runs(np.full((RUNS, CHECKPOINTS), error), np.full(RUNS, np.nan), []) for place, error in errors.items()}
     collected = collect(track, chosen_places(track, runs)["per environment"], runs)
     assert collected.anytime.mean(axis=1).ravel() == pytest.approx([1.0, 0.25])
     assert collected.online.shape == (2, RUNS, 0)

@@ -25,7 +25,11 @@ from sb3_adaptive_q.experiments.page import html_page
 PROJECT = Path(sb3_adaptive_q.__file__).resolve().parent.parent
 OWN = "tests.helpers.own_rules:"
 SETTINGS = LeagueSettings(
-    tracks=("A", "B"), methods=("constant", "7", f"{OWN}Broken"), environments=("chain", "moving_goal"), quick=True, resamples=200
+    tracks=("A", "B"),
+    methods=("constant", "7", f"{OWN}Broken"),
+    environments=("chain", "moving_goal"),
+    quick=True,
+    resamples=200,
 )
 OPTIONS = "--tracks A B --env chain moving_goal --quick --resamples 200 --workers 1".split()
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -117,7 +121,9 @@ def test_folder_of_another_league_is_refused(folder: Path, capsys: pytest.Captur
 # The page
 
 #: Runs before everything else: what goes wrong is kept
-WATCH = "<script>var errors = []; addEventListener('error', event => errors.push(event.message || 'a picture'), true);</script>"
+WATCH = (
+    "<script>var errors = []; addEventListener('error', event => errors.push(event.message || 'a picture'), true);</script>"
+)
 #: Runs last: click on every heading twice, and write down what the tables look like
 PROBE = """<script>
 addEventListener("load", () => {
