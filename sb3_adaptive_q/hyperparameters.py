@@ -8,8 +8,8 @@ from stable_baselines3.common.logger import HParam, TensorBoardOutputFormat
 
 #: The metrics of the HPARAMS page: it shows the last value that was logged under each of these tags
 METRICS = ("rollout/ep_rew_mean", "eval/mean_reward", "train/learning_rate")
-#: How the page names arguments that all algorithms have, by the arguments' own names. It sorts by name and shows the first five
-#: at once; "algorithm", "gamma", "method", "method_kwargs" and "seed" shall be these, so the others begin with later letters
+#: How the page names arguments that all algorithms have, by the arguments' own names. It sorts by name, and shows the first
+#: five at once. These shall be algorithm, gamma, method, method_kwargs and seed, so the others begin with later letters
 _COMMON = {
     "gamma": "gamma",
     "seed": "seed",

@@ -89,7 +89,8 @@ def test_hyperparameters_without_a_method_and_of_other_algorithms(tmp_path: Path
         model.learn(50)
         return hparams(run)
 
-    plain = values_of(TabularQ("MlpPolicy", LAKE, learning_rate=lambda left: 0.2 * left, exploration_schedule=lambda done: 0.5))
+    schedules: dict[str, Any] = {"learning_rate": lambda left: 0.2 * left, "exploration_schedule": lambda done: 0.5}
+    plain = values_of(TabularQ("MlpPolicy", LAKE, **schedules))
     assert (plain["method"], plain["method_kwargs"], plain["μ/first"]) == ("learning_rate", "", 0.2)
     assert plain["ε/exploration_schedule"] == "a function" and "seed" not in plain
     traces = values_of(SARSALambda("MlpPolicy", LAKE, trace_decay=0.5, method="polynomial"))

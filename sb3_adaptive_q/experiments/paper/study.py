@@ -16,9 +16,7 @@ from sb3_adaptive_q.experiments.storage import ResultFolder
 from sb3_adaptive_q.experiments.text import file_name
 
 
-def run_study(
-    settings: StudySettings, execution: Execution, tensorboard: Path | None = None, every_run: bool = False
-) -> str:
+def run_study(settings: StudySettings, execution: Execution, tensorboard: Path | None = None, every_run: bool = False) -> str:
     """
     Run what is missing of a study, and write its tables, figures and report.
 
