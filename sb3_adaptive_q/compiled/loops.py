@@ -274,7 +274,7 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
                     break
                 now, t = later, go_on(t, action)
             pending = False
-            if n_steps >= max_steps or n_ended >= max_episodes:
+            if max_steps <= 0 or max_episodes <= 0:
                 break
             place, t, length, episode_return = env_step(parameters, place, generator, t, length, episode_return, limit)
             if t.done:
@@ -329,7 +329,7 @@ def make_several_loop(  # noqa: C901  # one function of machine code
             if status != SOUND:
                 break
             pending = False
-            if n_steps >= max_steps or n_ended >= max_episodes:
+            if max_steps <= 0 or max_episodes <= 0:
                 break
             for i in range(len(envs)):
                 env, place, t = envs[i], load_state(states, i), load_transition(envs[i])
