@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 
 
 class TabularQPolicy(BasePolicy):
@@ -41,7 +41,7 @@ class TabularQPolicy(BasePolicy):
         initial_q: float = 0.0,
     ) -> None:
         super().__init__(observation_space, action_space)
-        self.state_index = StateIndex(observation_space)
+        self.state_index = make_state_index(observation_space)
         self.initial_q = initial_q
         n_actions = count_actions(action_space)
         _check_memory(self.state_index.n_states, n_actions)
@@ -52,12 +52,11 @@ class TabularQPolicy(BasePolicy):
         return self._predict(obs, deterministic)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
-        assert isinstance(observation, th.Tensor)
-        return th.as_tensor(self._greedy_actions(observation.cpu().numpy()))
+        return th.as_tensor(self._greedy_actions(self.state_index.of_batch(_as_arrays(observation))))
 
     def predict(
         self,
-        observation: np.ndarray | dict[str, np.ndarray],
+        observation: Any,
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
@@ -65,28 +64,47 @@ class TabularQPolicy(BasePolicy):
         """
         The greedy action; without a detour through PyTorch, which costs several times the look-up.
 
-        :param observation: one observation or a batch of them
+        The action of one observation is a number of NumPy's, ``np.int64``, where other algorithms of SB3 return an array
+        without axes: gymnasium's toy-text environments look an action up in a dict, which cannot be asked for an array.
+
+        :param observation: one observation, or several: a batch as a VecEnv gives it, or a list of observations
         :param state: handed back as it is
         :param episode_start: unused
         :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds ε-greedy exploration
-        :return: the action or the batch of actions, and ``state``
+        :return: the action, or the array of actions; and ``state``
         :raises ValueError: if an observation lies outside the observation space
         """
-        if isinstance(observation, tuple | dict):
-            return super().predict(observation, state, episode_start, deterministic)
-        observation = np.asarray(observation)
-        is_batch = self.is_vectorized_observation(observation)
-        actions = self._greedy_actions(observation.reshape(-1, *self.observation_space.shape))  # type: ignore[misc]
-        return (actions if is_batch else actions[0]), state
+        if self.state_index.is_single(observation):
+            action: Any = self._greedy_actions(self.state_index.of(observation))
+            return action, state
+        return self._greedy_actions(self.state_index.of_several(observation)), state
 
-    def _greedy_actions(self, observations: np.ndarray) -> np.ndarray:
-        rows = self.q_table.numpy()[self.state_index.of_batch(observations)]
-        return rows.argmax(axis=1) + int(self.action_space.start)  # type: ignore[attr-defined]
+    def _greedy_actions(self, rows: Any) -> Any:
+        """
+        :param rows: of the table, an array of them or one
+        :return: the actions of largest value, an array or one
+        """
+        return self.q_table.numpy()[rows].argmax(axis=-1) + int(self.action_space.start)  # type: ignore[attr-defined]
+
+    def parameters_to_vector(self) -> np.ndarray:
+        """
+        :return: an empty vector: what learning changes are buffers, not parameters
+        """
+        return np.zeros(0, dtype=np.float32)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
         del data["normalize_images"]
         return {**data, "lr_schedule": self._dummy_schedule, "initial_q": self.initial_q}
+
+
+def _as_arrays(observation: Any) -> Any:
+    """Tensors as arrays, those in a tuple or a dict too."""
+    if isinstance(observation, dict):
+        return {key: _as_arrays(part) for key, part in observation.items()}
+    if isinstance(observation, tuple):
+        return tuple(map(_as_arrays, observation))
+    return observation.cpu().numpy()
 
 
 def count_actions(space: spaces.Space[Any]) -> int:

@@ -62,8 +62,7 @@ class StepRollout:
         self.progress = kernels.progress_made(learner, model.num_timesteps, model._episode_num)
         model.exploration_rate = kernels.exploration_rate(learner, self.progress)
         self.state_index = model.policy.state_index
-        self._state_of = self.state_index.of
-        self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
+        self.states = self.state_index.of_vec(model._last_obs)
         self.first_action = int(model.action_space.start)  # type: ignore[attr-defined]
         if model._next_actions is None:
             model._next_actions = np.array([self._choose_action(state) for state in self.states], dtype=np.int64)
@@ -84,7 +83,7 @@ class StepRollout:
         new_obs, rewards, dones, infos = self.env.step(actions)
         self.model.num_timesteps += self.env.num_envs
         self.infos, self.dones = infos, dones.tolist()
-        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
+        self.transitions = self._transitions(self.state_index.of_vec(new_obs), rewards.tolist())
         self._show(actions, new_obs, rewards, dones, infos)
 
     def learn(self) -> None:
@@ -164,17 +163,17 @@ class StepRollout:
     def _note_episodes(self) -> None:
         self.model._update_info_buffer(self.infos, self.dones)
 
-    def _transitions(self, observations: list[Any], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
+    def _transitions(self, states: list[int], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
         """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
         transitions = []
         for i, done in enumerate(self.dones):
             if not isfinite(rewards[i]):
                 self._refuse_reward(i, rewards[i])
-            state = self._state_of(observations[i])
+            state = states[i]
             next_state, terminated = state, done
-            if done and self.infos[i].get("TimeLimit.truncated", False):
-                reached = np.asarray(self.infos[i]["terminal_observation"]).tolist()
-                next_state, terminated = self._state_of(reached), False
+            if done:
+                next_state = self.state_index.of(self.infos[i]["terminal_observation"])
+                terminated = not self.infos[i].get("TimeLimit.truncated", False)
             transitions.append((rewards[i], next_state, terminated, done, state))
         return transitions
 

@@ -27,7 +27,7 @@ from sb3_adaptive_q.fused_rollout import FusedRollout
 from sb3_adaptive_q.installed_rate import InstalledRate, check_rate
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.rollouts import HOLD, NO_UPDATES, StepRollout
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
 SelfTabularQ = TypeVar("SelfTabularQ", bound="TabularQ")
@@ -126,7 +126,7 @@ class TabularQ(BaseAlgorithm):
         self.exploration_rate = 0.0
         self._rate_data: dict[str, Any] | None = None
         if self.env is not None:
-            StateIndex(self.observation_space)
+            make_state_index(self.observation_space)
             count_actions(self.action_space)
         if _init_setup_model:
             self._setup_model()

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_adaptive_q.study.errors import DesignError
 from sb3_adaptive_q.study.settings import CART_POLE, FROZEN_LAKE
 from sb3_adaptive_q.vec_env import CompiledVecEnv
-from wrappers import DiscretizeObservation
+from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 #: The bins of Table 5, for every Cart Pole
 CART_POLE_BINS = {"n_edges": 10, "low": [-2.4, -4.0, -0.2095, -4.0], "high": [2.4, 4.0, 0.2095, 4.0]}

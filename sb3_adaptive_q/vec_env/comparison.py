@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, playable_states
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class _SideBySide:
         self.dynamics.env = self.env
         discretizer = twin.layers.discretizer
         self.observe = discretizer.observation if discretizer else _as_it_is
-        self.state_index = StateIndex((discretizer or self.env).observation_space)
+        self.state_index = make_state_index((discretizer or self.env).observation_space)
         self.env.reset(seed=0)
         self.generator = np.random.default_rng()
         self.generator.bit_generator.state = self.env.np_random.bit_generator.state
