@@ -116,21 +116,24 @@ class DiscreteIndex(StateIndex):
         self._numbers = range(self.start, self.start + self.n_states)
 
     def of(self, observation: Any) -> int:
-        if type(observation) is not int:  # a range would compare any other with its numbers one by one
-            value = np.asarray(observation).tolist()
-            if not isinstance(value, int | float) or value != value // 1:
+        number = observation
+        if type(number) is not int:  # a range would compare any other with its numbers one by one
+            number = np.asarray(observation).tolist()
+            if not isinstance(number, int | float) or number != number // 1:
                 raise self.refusal(observation)
-            observation = int(value)
-        try:
-            return self._numbers.index(observation)
-        except ValueError:
-            raise self.refusal(observation) from None
+            number = int(number)
+        if number not in self._numbers:
+            raise self.refusal(observation)
+        return number - self.start
 
     def of_vec(self, observations: Any) -> list[int]:
-        try:
-            return list(map(self._numbers.index, observations.tolist()))
-        except ValueError:
-            return self.of_batch(observations).tolist()
+        numbers, start = self._numbers, self.start
+        rows: list[int] = []
+        for observation in observations.tolist():
+            if type(observation) is not int or observation not in numbers:
+                return self.of_batch(observations).tolist()
+            rows.append(observation - start)
+        return rows
 
     def of_batch(self, observations: Any) -> np.ndarray:
         if len(_shape(observations) or ()) != 1:

@@ -108,13 +108,14 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
             observation, reward, terminated, truncated, info = outcome
             of_limit["_elapsed_steps"] = elapsed_steps = of_limit["_elapsed_steps"] + 1
             truncated = truncated or elapsed_steps >= of_limit["_max_episode_steps"]
-            reward_as_float = float(reward)  # here, so that None is refused: NumPy would make a NaN of it
             if discretizer is not None:
                 observation = discretizer.observation(observation)
-            if monitor is not None:
-                if terminated or truncated or of_monitor["needs_reset"]:
-                    return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
-                of_monitor["rewards"].append(reward_as_float)
+            if monitor is None:
+                float(reward)  # NumPy would make a NaN of None
+            elif terminated or truncated or of_monitor["needs_reset"]:
+                return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
+            else:
+                of_monitor["rewards"].append(float(reward))
                 of_monitor["total_steps"] += 1
         except CONVERSION_ERRORS as error:
             raise_fault(find_fault_of_step(inner, outcome), error)
@@ -134,12 +135,13 @@ def _attributes_around(inner: gym.Env, env: Any) -> list[tuple[dict[str, Any], g
 
 
 def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
-    env = monitor.env
-    monitor.env = _Outcome(outcome)  # type: ignore[assignment]
+    attributes = vars(monitor)
+    env = attributes["env"]
+    attributes["env"] = _Outcome(outcome)
     try:
         return monitor.step(action)
     finally:
-        monitor.env = env
+        attributes["env"] = env
 
 
 class _Outcome:

@@ -93,12 +93,12 @@ class LeanVecEnv(DummyVecEnv):
                 observation, rewards[i], terminated, truncated, info = outcome
                 dones[i] = done = terminated or truncated
                 info["TimeLimit.truncated"] = truncated and not terminated
+                if done:
+                    info["terminal_observation"] = observation if type(observation) is int else deepcopy(observation)
+                    observation, self.reset_infos[i] = env.reset()
             except CONVERSION_ERRORS as error:
-                raise_fault(find_fault_of_step(env, outcome), error)
+                raise_fault(find_fault_of_step(env, outcome) or find_fault_of_call(env, "reset", error), error)
                 raise
-            if done:
-                info["terminal_observation"] = observation if type(observation) is int else deepcopy(observation)
-                observation = self._reset_env(i, {})
             if type(observation) in fitting_types:
                 observations[i] = observation
             else:
@@ -109,26 +109,21 @@ class LeanVecEnv(DummyVecEnv):
         return new_obs, rewards.copy(), dones.copy(), infos
 
     def reset(self) -> VecEnvObs:
-        for i in range(self.num_envs):
+        for i, env in enumerate(self.envs):
             options = {"options": self._options[i]} if self._options[i] else {}
-            self._save_obs(i, self._reset_env(i, {"seed": self._seeds[i], **options}))
+            try:
+                outcome: Any = env.reset(seed=self._seeds[i], **options)
+            except CONVERSION_ERRORS as error:
+                raise_fault(find_fault_of_call(env, "reset", error), error)
+                raise
+            if not (isinstance(outcome, tuple) and len(outcome) == 2 and isinstance(outcome[1], dict)):
+                raise ValueError(explain_reset(env, outcome))
+            observation, self.reset_infos[i] = outcome
+            self._save_obs(i, observation)
         # Seeds and options are only used once
         self._reset_seeds()
         self._reset_options()
         return self._obs_from_buf()
-
-    def _reset_env(self, i: int, arguments: dict[str, Any]) -> Any:
-        """Reset environment i, and note its info."""
-        env = self.envs[i]
-        try:
-            outcome: Any = env.reset(**arguments)
-        except CONVERSION_ERRORS as error:
-            raise_fault(find_fault_of_call(env, "reset", error), error)
-            raise
-        if not (isinstance(outcome, tuple) and len(outcome) == 2 and isinstance(outcome[1], dict)):
-            raise ValueError(explain_reset(env, outcome))
-        observation, self.reset_infos[i] = outcome
-        return observation
 
     def _save_obs(self, env_idx: int, obs: Any) -> None:
         try:
