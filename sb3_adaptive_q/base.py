@@ -28,7 +28,7 @@ from sb3_adaptive_q.random_numbers import first_counter
 from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.step_size_in_force import StepSizeInForce
 from sb3_adaptive_q.training_state import TrainingState, integer_of_state
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
@@ -206,7 +206,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self._log_interval: int | None = None
         self._last_dump = 0
         if self.env is not None:
-            StateIndex(self.observation_space)
+            make_state_index(self.observation_space)
             count_actions(self.action_space)
         if _init_setup_model:
             self._setup_model()
@@ -404,7 +404,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self.training.forget_updates()
         self._prepare_update()
         if restart and self.use_masking:
-            states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
+            states = self.policy.state_index.of_vec(self._last_obs)
             for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
                 note_mask(self._masks(), state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf

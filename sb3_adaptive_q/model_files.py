@@ -18,7 +18,7 @@ from sb3_adaptive_q.policies import MEMORY, count_actions
 from sb3_adaptive_q.running import check_actions
 from sb3_adaptive_q.saved_model import SavedModel, buffers_of, collect, decode_model
 from sb3_adaptive_q.saved_values import MissingFunction, find_class
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.step_sizes import STEP_SIZES, resolve_parameters
 from sb3_adaptive_q.training_state import TrainingState
 
@@ -304,7 +304,7 @@ def _find_method(data: MethodData | None) -> InstalledMethod | None:
 
 def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
     """Before anything is made or seeded: a table that the spaces ask for, of numbers that learning gives."""
-    shape = StateIndex(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
+    shape = make_state_index(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
     if saved.buffers["q_table"].shape != shape:
         raise ValueError(f"`q_table` has the shape {saved.buffers['q_table'].shape}, but the spaces ask for {shape}")
     n_envs = attributes.get("n_envs", 1)

@@ -50,16 +50,6 @@ class TestSpaces:
             TabularQ("MlpPolicy", env())
 
     @pytest.mark.parametrize(
-        "space",
-        [spaces.Dict({"a": spaces.Discrete(2)}), spaces.Tuple([spaces.Discrete(2)])],
-        ids=["Dict", "Tuple"],
-    )
-    def test_composite_observations_need_a_wrapper(self, space):
-        expected = "Discrete, MultiDiscrete or MultiBinary observation space"
-        with refused(expected, f"but got {space}", "gymnasium.ObservationWrapper"):
-            TabularQ("MlpPolicy", with_spaces(space))
-
-    @pytest.mark.parametrize(
         "space", [spaces.Box(-1.0, 1.0, (1,)), spaces.MultiDiscrete([2, 3]), spaces.MultiBinary(2)], ids=str
     )
     def test_actions_must_be_discrete(self, space):
