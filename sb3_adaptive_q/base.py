@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
-from sb3_adaptive_q.installed_method import check_step_size
+from sb3_adaptive_q.checks import ATTRIBUTES, CONSTRUCTOR, MOST_STEPS, RATE, Check, check
 from sb3_adaptive_q.logs import record_logs
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions, greedy
 from sb3_adaptive_q.random_numbers import first_counter
@@ -32,11 +32,9 @@ from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.step_size_in_force import StepSizeInForce
 from sb3_adaptive_q.training_state import TrainingState, integer_of_state
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.vec_env.protocol import check_is_single_env
 
 SelfTabularAlgorithm = TypeVar("SelfTabularAlgorithm", bound="TabularAlgorithm")
-
-#: More steps than are ever taken, and few enough for 64 bits
-NO_END = 2**62
 
 #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
 _SETTING_UP = threading.Lock()
@@ -139,6 +137,12 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         """
         return ()
 
+    def argument_checks(self) -> dict[str, Check]:
+        """
+        :return: what each argument of the constructor has to be, by its name; a subclass adds its own
+        """
+        return CONSTRUCTOR | self._exploration_checks()
+
     # The state of a training, kept where machine code reads and writes it
     num_timesteps: int = integer_of_state("num_timesteps", "Environment steps taken.")
     _episode_num: int = integer_of_state("n_episodes", "Episodes finished.")
@@ -176,10 +180,10 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self._get_policy_from_name(policy) if isinstance(policy, str) else policy,
             env,
             learning_rate,
-            policy_kwargs=policy_kwargs,
+            policy_kwargs=check("policy_kwargs", policy_kwargs),
             stats_window_size=stats_window_size,
             tensorboard_log=tensorboard_log,
-            verbose=verbose,
+            verbose=check("verbose", verbose),
             device=_cpu(device),
             support_multi_env=True,
             seed=seed,
@@ -247,10 +251,12 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self._choose_functions()
 
     def _check_arguments(self) -> None:
-        for name in ("gamma", "exploration_fraction"):
-            check_step_size(name, getattr(self, name))
-        self._check_exploration()
-        check_step_size("learning_rate", self.learning_rate(1.0) if callable(self.learning_rate) else self.learning_rate)
+        """Check the attributes that are the constructor's arguments, and make plain types of them."""
+        for name, each in self.argument_checks().items():
+            attribute = ATTRIBUTES.get(name, name)
+            setattr(self, attribute, each.apply(name, getattr(self, attribute)))
+        if callable(self.learning_rate):
+            RATE.apply("learning_rate", self.learning_rate(1.0))
         if self.method is None and self.method_kwargs:
             raise ValueError(
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
@@ -259,12 +265,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             raise ValueError(
                 f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
             )
-        for name in ("total_episodes", "callback_interval"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise ValueError(f"`{name}` must be at least 1, or None, and a whole number, but got {value}.")
-        if not np.isfinite(self.initial_q).all():
-            raise ValueError(f"`initial_q` must be finite, but got {self.initial_q}.")
 
     @property
     def q_table(self) -> np.ndarray:
@@ -326,6 +326,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             finite number
         :raises RuntimeError: if the model is learning already
         """
+        total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)
         training = self._claim()
         try:
             total_timesteps, callback = self._begin(
@@ -383,10 +384,11 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     ) -> tuple[int, BaseCallback]:  # fmt: skip
         """Check and set up what a training needs, before any callback is called."""
         check_callback(callback)
+        tb_log_name = check("tb_log_name", tb_log_name)
+        reset_num_timesteps = check("reset_num_timesteps", reset_num_timesteps)
+        progress_bar = check("progress_bar", progress_bar)
         if self.env is None:
             raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
-        if log_interval is not None and log_interval < 1:
-            raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
         self._check_arguments()
         self.check_functions_found(callback)
         self._log_interval = log_interval
@@ -409,7 +411,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
                 note_mask(self._masks(), state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
-        record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
+        record["total_timesteps"] = min(int(self._total_timesteps), MOST_STEPS)
         record["total_episodes"] = self._total_episodes if self.total_episodes else 0
         self._start_step_size(reset_num_timesteps)
         self._start_exploration()
@@ -542,6 +544,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
 
         :param seed: the seed; ``None`` for fresh entropy, which leaves the environment's generator alone
         """
+        seed = check("seed", seed)
         super().set_random_seed(seed)
         # Spawned, because an environment that is seeded with the same number draws from SeedSequence(seed) itself
         learning, predicting = np.random.SeedSequence(seed).spawn(2)
@@ -556,6 +559,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
         env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
         if not isinstance(env, VecEnv):
+            check_is_single_env(env)
             env = _patch_env(env)
             if not is_wrapped(env, Monitor) and monitor_wrapper:
                 if verbose >= 1:
