@@ -270,7 +270,7 @@ def test_file_gives_the_design_and_options_override_it(tmp_path: Path) -> None:
         (["--runs", "many"], "--runs"),
         (["--runz", "3"], "Perhaps you meant: --runs"),
         (["--episodes", "-3"], "`episodes` must be a whole number from 1"),
-        (["--seed", "-1"], "`seed` must be a whole number from 0"),
+        (["--seed", "-1"], "`seed` must be a whole number of at least 0"),
         (["--gamma", "1.5"], "gamma"),
         (["--gamma", "nan"], "gamma"),
         (["--beta-2", "-0.1"], "beta_2"),

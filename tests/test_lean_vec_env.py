@@ -651,6 +651,36 @@ class TestFaults:
             env.step(np.array([0])) if where == "step" else env.reset()
         assert raised.value is error
 
+    def test_errors_of_what_the_environment_calls_pass_too(self):
+        """It steps environments of gymnasium's inside its own step, or calls them in a wrong way."""
+
+        class Nested(Chain):
+            def step(self, action):
+                return Halved(Chain(step=(1, 0.5, False, {}))).step(action)
+
+        class Careless(Chain):
+            def step(self, action):
+                return gym.make("Taxi-v4").reset(sead=action)
+
+        for kind, error in ((Nested, ValueError), (Careless, TypeError)):
+            env = LeanVecEnv([lambda kind=kind: Monitor(kind())])
+            env.reset()
+            with pytest.raises(error, match=r"unpack|unexpected keyword argument") as raised:
+                env.step(np.array([0]))
+            assert "must" not in str(raised.value)
+
+    def test_an_error_of_a_reset_is_not_taken_for_one_of_the_step_before(self):
+        class Failing(Chain):
+            def reset(self, **arguments):
+                if arguments:
+                    return super().reset(**arguments)
+                raise ValueError("of its own")
+
+        env = LeanVecEnv([lambda: Failing(step=(1, np.nan, True, False, {}))])
+        env.reset()
+        with pytest.raises(ValueError, match=r"^of its own$"):
+            env.step(np.array([0]))
+
     def test_nan_in_a_discretised_observation(self):
         class Blind(type(cart_pole().unwrapped)):
             def step(self, action):

@@ -95,10 +95,11 @@ class LeanVecEnv(DummyVecEnv):
                 info["TimeLimit.truncated"] = truncated and not terminated
                 if done:
                     info["terminal_observation"] = observation if type(observation) is int else deepcopy(observation)
-                    observation, self.reset_infos[i] = env.reset()
             except CONVERSION_ERRORS as error:
-                raise_fault(find_fault_of_step(env, outcome) or find_fault_of_call(env, "reset", error), error)
+                raise_fault(find_fault_of_step(env, outcome), error)
                 raise
+            if done:
+                observation, self.reset_infos[i] = _reset(env)
             if type(observation) in fitting_types:
                 observations[i] = observation
             else:
@@ -111,14 +112,7 @@ class LeanVecEnv(DummyVecEnv):
     def reset(self) -> VecEnvObs:
         for i, env in enumerate(self.envs):
             options = {"options": self._options[i]} if self._options[i] else {}
-            try:
-                outcome: Any = env.reset(seed=self._seeds[i], **options)
-            except CONVERSION_ERRORS as error:
-                raise_fault(find_fault_of_call(env, "reset", error), error)
-                raise
-            if not (isinstance(outcome, tuple) and len(outcome) == 2 and isinstance(outcome[1], dict)):
-                raise ValueError(explain_reset(env, outcome))
-            observation, self.reset_infos[i] = outcome
+            observation, self.reset_infos[i] = _reset(env, seed=self._seeds[i], **options)
             self._save_obs(i, observation)
         # Seeds and options are only used once
         self._reset_seeds()
@@ -141,3 +135,15 @@ class LeanVecEnv(DummyVecEnv):
         if self._only_array is not None:
             return self._only_array.copy()
         return dict_to_obs(self.observation_space, OrderedDict((key, array.copy()) for key, array in self.buf_obs.items()))
+
+
+def _reset(env: gym.Env, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+    """What the environment's ``reset`` returns; an error that names it where that is something else."""
+    try:
+        outcome: Any = env.reset(**arguments)
+    except CONVERSION_ERRORS as error:
+        raise_fault(find_fault_of_call(env, "reset", error), error)
+        raise
+    if not (isinstance(outcome, tuple) and len(outcome) == 2 and isinstance(outcome[1], dict)):
+        raise ValueError(explain_reset(env, outcome))
+    return outcome

@@ -134,14 +134,14 @@ def is_whole(values: Any, shape: tuple[int, ...]) -> bool:
 def find_fault_of_call(env: gym.Env, function: str, error: Exception) -> str | None:
     """
     Find out whether an error says that a wrapper or a VecEnv could not read what an environment returned, or could not call
-    it: then it comes from code of gymnasium, SB3 or this package, not from the environment's own.
+    it: then only code of gymnasium, SB3 and this package took part, and none of the environment's own.
 
     :param env: the environment
     :param function: the name of the method that was called, ``"step"`` or ``"reset"``
     :param error: what was raised
     :return: a message that names the culprit; ``None`` if the error is of another kind
     """
-    if _package_of_origin(error.__traceback__) not in ("gymnasium", "stable_baselines3", "sb3_adaptive_q"):
+    if not _packages_of(error.__traceback__) <= {"gymnasium", "stable_baselines3", "sb3_adaptive_q"}:
         return None
     if "unpack" in str(error):
         results = "(observation, reward, terminated, truncated, info)" if function == "step" else "(observation, info)"
@@ -151,12 +151,13 @@ def find_fault_of_call(env: gym.Env, function: str, error: Exception) -> str | N
     return None
 
 
-def _package_of_origin(traceback: TracebackType | None) -> str:
-    package = ""
+def _packages_of(traceback: TracebackType | None) -> set[str]:
+    """Those of the functions that an error has passed."""
+    packages = set()
     while traceback is not None:
-        package = str(traceback.tb_frame.f_globals.get("__name__", "")).split(".")[0]
+        packages.add(str(traceback.tb_frame.f_globals.get("__name__", "")).split(".")[0])
         traceback = traceback.tb_next
-    return package
+    return packages
 
 
 def _is_number(value: Any) -> bool:
