@@ -503,7 +503,7 @@ class TestOtherSizes:
     @pytest.mark.parametrize(
         ("change", "message"),
         [
-            (lambda policy: policy.mu.fill_(1.5), r"`mu` must be from 0 to 1, but got 1\.5"),
+            (lambda policy: policy.mu.fill_(1.5), r"`mu` must be a number from 0 to 1, but got 1\.5"),
             (lambda policy: policy.q_table[3].fill_(np.nan), r"`q_table` must hold finite numbers.*4 of them"),
             (lambda policy: policy.q_table[3, 0].fill_(np.inf), "`q_table` must hold finite numbers"),
             (lambda policy: policy.memory_visits[0, 2, 1].fill_(np.nan), r"`memory_visits`.*NaN"),

@@ -52,10 +52,9 @@ class StepRollout:
         self.n_envs = self.env.num_envs
         self.learner, self.draws = model.training.record, model.training.draws
         self.state_index = model.policy.state_index
-        self._state_of = self.state_index.of
         self.considered = model.considered
         self.first_action = int(model.action_space.start)
-        self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
+        self.states = self.state_index.of_vec(model._last_obs)
         self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
         self.transitions: list[tuple[float, int, bool, bool, int]] = []
         self.take_choices()
@@ -116,7 +115,7 @@ class StepRollout:
         new_obs, rewards, dones, infos = self.env.step(actions)
         self.model.num_timesteps += self.n_envs
         self.infos, self.dones = infos, dones.tolist()
-        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
+        self.transitions = self._transitions(self.state_index.of_vec(new_obs), rewards.tolist())
         if self.model.use_masking:
             self._note_masks(self.model.policy.allowed.numpy())
         if True in self.dones:
@@ -233,18 +232,17 @@ class StepRollout:
             return episode["r"], episode["l"]
         return round(self.episode_returns[i], 6), self.episode_lengths[i]
 
-    def _transitions(self, observations: list[Any], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
+    def _transitions(self, states: list[int], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
         """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
         transitions = []
         for i, done in enumerate(self.dones):
             reward = rewards[i]
             if not isfinite(reward):
                 self.refuse_reward(i, reward)
-            state = self._state_of(observations[i])
+            state = states[i]
             next_state, terminated = state, done
             if done:
-                reached = np.asarray(self.infos[i]["terminal_observation"]).tolist()
-                next_state = self._state_of(reached)
+                next_state = self.state_index.of(self.infos[i]["terminal_observation"])
                 terminated = not self.infos[i].get("TimeLimit.truncated", False)
             self.episode_returns[i] += reward
             self.episode_lengths[i] += 1
