@@ -95,7 +95,7 @@ def test_wheel_holds_the_package_data(wheel: zipfile.ZipFile) -> None:
         "sb3_adaptive_q/py.typed",
         "wrappers/py.typed",
         "sb3_adaptive_q/version.txt",
-        "sb3_adaptive_q/hyperparams/tabular_q.yml",
+        "sb3_adaptive_q/hyperparams/tabular.yml",
     }
     data |= {
         path.relative_to(PROJECT).as_posix()
