@@ -87,7 +87,7 @@ class _GreedyReturn:
 
     def _reference(self, step: int) -> Reference:
         key = (*self.key, "reference", phase_at(self.environment, step))
-        return kept(key, lambda: reference(self.environment, gamma=self.gamma, horizon=self.horizon, step=step))
+        return kept(key, lambda: reference(self.environment, gamma=self.gamma, horizon=self.horizon, step=last_of(step)))
 
     def _ends(self, step: int) -> tuple[float, float]:
         return kept((*self.key, "online", phase_at(self.environment, step)), lambda: self._undiscounted(step))
@@ -212,18 +212,27 @@ def phase_at(environment: Any, step: int) -> int:
     """
     :param environment: without its wrappers
     :param step: the number of steps so far
-    :return: a number that is the same where the same rules hold
+    :return: a number that is the same where the last of these steps was made under the same rules
     """
-    return environment.phase_at(step) if hasattr(environment, "phase_at") else 0
+    return environment.phase_at(last_of(step)) if hasattr(environment, "phase_at") else 0
 
 
 def model_at(environment: Any, step: int) -> TabularModel:
     """
     :param environment: without its wrappers
     :param step: the number of steps so far
-    :return: the rules that hold then
+    :return: the rules under which the last of these steps was made
     """
-    return TabularModel.of(environment.table_at(step) if hasattr(environment, "table_at") else environment)
+    return TabularModel.of(environment.table_at(last_of(step)) if hasattr(environment, "table_at") else environment)
+
+
+def last_of(steps: int) -> int:
+    """
+    :param steps: a number of steps
+    :return: the number of steps before the last of them. Rules may change at a checkpoint: what was learned until then is judged
+        by the rules that it was learned under, as nobody can follow a change before the first step after it
+    """
+    return max(steps - 1, 0)
 
 
 def largest_value(environment: Any, gamma: float) -> float:
