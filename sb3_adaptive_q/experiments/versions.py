@@ -15,7 +15,7 @@ from sb3_adaptive_q.experiments.names import source_digests
 PACKAGE = Path(sb3_adaptive_q.__file__).parent
 LIBRARIES = ("stable_baselines3", "gymnasium", "numpy", "numba", "torch", "scipy", "pandas", "pyarrow")
 #: The modules of ``experiments`` that take part in a run; the others come after it, and may change without any effect on it
-OF_A_RUN = ("cells", "environments", "episodes", "learners", "judges", "names", "measures")
+OF_A_RUN = ("cells", "environments", "episodes", "learners", "judges", "greedy_episodes", "names", "measures")
 
 
 @cache
