@@ -52,7 +52,7 @@ def _ordinary_player(env: Any) -> Play:
 
 
 def _compiled_player(env: CompiledVecEnv) -> Play:
-    """The same as one call of machine code, in a tenth of the time: a league plays greedily at every checkpoint of every run."""
+    """The same as one call of machine code, in a fraction of the time: it is done at every checkpoint of every run."""
     env.reset()  # a state to begin with; the episodes start from others
     compiled = env.compile()[0]
     dynamics, limit = compiled.dynamics, compiled.max_episode_steps

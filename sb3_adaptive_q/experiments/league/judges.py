@@ -201,8 +201,8 @@ def model_at(environment: Any, step: int) -> TabularModel:
 def last_of(steps: int) -> int:
     """
     :param steps: a number of steps
-    :return: the number of steps before the last of them. Rules may change at a checkpoint: what was learned until then is judged
-        by the rules that it was learned under, as nobody can follow a change before the first step after it
+    :return: the number of steps before the last of them. Rules may change at a checkpoint: what was learned until then is
+        judged by the rules that it was learned under, as nobody can follow a change before the first step after it
     """
     return max(steps - 1, 0)
 
