@@ -5,7 +5,7 @@ import re
 _TOKEN = re.compile(
     r"\s*(?P<function>[A-Za-z]+(?=\())|\s*(?P<word>[A-Za-z_]{2,})|\s*(?P<symbol>[A-Za-zα-ω]\d?[₀'²]*|\d+)|\s*(?P<sign>\S)"
 )
-_SIGNS = {"←": r"\leftarrow", "≤": r"\le", "≥": r"\ge"}
+_SIGNS = {"←": r"\leftarrow", "≤": r"\leq", "≥": r"\geq"}
 _OPERATORS = "+-=←≤≥<>,;:"
 _FUNCTIONS = ("exp", "min", "max")
 
@@ -99,7 +99,7 @@ class _Reader:
     def symbol(self, text: str) -> str:
         if text == "ln":
             return r"\ln"
-        if len(text) > 1 and text.isalpha() or "_" in text:
+        if (len(text) > 1 and text.isalpha()) or "_" in text:
             return rf"\mathit{{{text}}}\,".replace("_", r"\_")
         return re.sub(r"(?<=[^\d])(\d)", r"_\1", text).replace("₀", "_0").replace("²", "^2")
 
