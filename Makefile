@@ -25,7 +25,7 @@ endef
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help train test fuzz endurance exhaustive boundscheck lint types benchmark study tensorboard wheel clean
+.PHONY: help train test fuzz endurance exhaustive boundscheck lint types docs benchmark study tensorboard wheel clean
 
 help:  ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -58,6 +58,9 @@ lint: $(DEV)  ## Check style and formatting
 types: $(DEV)  ## Check types
 	$(BIN)/mypy
 
+docs: $(DEV)  ## Build the documentation into build/docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -d build/doctrees docs build/docs
+
 benchmark: $(DEV)  ## Compare speeds, as ratios within one run
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -71,7 +74,7 @@ wheel: $(DEV)  ## Build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
 clean:  ## Remove the virtual environment and all that was built or cached
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist docs/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find sb3_adaptive_q wrappers tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.created:
