@@ -70,8 +70,8 @@ study: $(DEV)  ## Repeat the paper's experiment: tables, figures and report
 tensorboard: $(ZOO)  ## Show the training log in the browser
 	$(BIN)/tensorboard --logdir $(LOG)
 
-wheel: $(DEV)  ## Build the wheel into dist/
-	$(BIN)/python -m build --wheel
+wheel: $(DEV)  ## Build the wheel and the source distribution into dist/
+	$(BIN)/python -m build
 
 clean:  ## Remove the virtual environment and all that was built or cached
 	rm -rf $(VENV) build dist docs/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
