@@ -21,8 +21,8 @@ from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_adaptive_q.action_masks import ALLOWED, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
+from sb3_adaptive_q.checks import ATTRIBUTES, MOST_STEPS, RATE, check
 from sb3_adaptive_q.hyperparameters import record_hyperparameters, run_name
-from sb3_adaptive_q.installed_method import check_step_size
 from sb3_adaptive_q.learned_table import LearnedTable
 from sb3_adaptive_q.logs import record_logs
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
@@ -31,14 +31,12 @@ from sb3_adaptive_q.random_numbers import first_counter
 from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.training_state import TrainingState, integer_of_state
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.vec_env.protocol import check_is_single_env
 
 SelfTabularAlgorithm = TypeVar("SelfTabularAlgorithm", bound="TabularAlgorithm")
-
-#: More steps than are ever taken, and few enough for 64 bits
-NO_END = 2**62
 
 #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
 _SETTING_UP = threading.Lock()
@@ -131,10 +129,10 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             self._get_policy_from_name(policy) if isinstance(policy, str) else policy,
             env,
             learning_rate,
-            policy_kwargs=policy_kwargs,
+            policy_kwargs=check("policy_kwargs", policy_kwargs),
             stats_window_size=stats_window_size,
             tensorboard_log=tensorboard_log,
-            verbose=verbose,
+            verbose=check("verbose", verbose),
             device=_cpu(device),
             support_multi_env=True,
             seed=seed,
@@ -161,7 +159,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         self._log_interval: int | None = None
         self._last_dump = 0
         if self.env is not None:
-            StateIndex(self.observation_space)
+            make_state_index(self.observation_space)
             count_actions(self.action_space)
         if _init_setup_model:
             self._setup_model()
@@ -195,10 +193,12 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             self._choose_functions()
 
     def _check_arguments(self) -> None:
-        for name in ("gamma", "exploration_fraction"):
-            check_step_size(name, getattr(self, name))
-        self._check_exploration()
-        check_step_size("learning_rate", self.learning_rate(1.0) if callable(self.learning_rate) else self.learning_rate)
+        """Check the attributes that are the constructor's arguments, and make plain types of them."""
+        for name, each in (self.argument_checks() | self._exploration_checks()).items():
+            attribute = ATTRIBUTES.get(name, name)
+            setattr(self, attribute, each.apply(name, getattr(self, attribute)))
+        if callable(self.learning_rate):
+            RATE.apply("learning_rate", self.learning_rate(1.0))
         if self.method is None and self.method_kwargs:
             raise ValueError(
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
@@ -207,12 +207,6 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             raise ValueError(
                 f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
             )
-        for name in ("total_episodes", "callback_interval"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise ValueError(f"`{name}` must be at least 1, or None, and a whole number, but got {value}.")
-        if not np.isfinite(self.initial_q).all():
-            raise ValueError(f"`initial_q` must be finite, but got {self.initial_q}.")
 
     def learn(
         self: SelfTabularAlgorithm,
@@ -237,6 +231,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             finite number
         :raises RuntimeError: if the model is learning already
         """
+        total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)
         training = self._claim()
         try:
             total_timesteps, callback = self._begin(
@@ -295,10 +290,11 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
     ) -> tuple[int, BaseCallback]:  # fmt: skip
         """Check and set up what a training needs, before any callback is called."""
         check_callback(callback)
+        tb_log_name = check("tb_log_name", tb_log_name)
+        reset_num_timesteps = check("reset_num_timesteps", reset_num_timesteps)
+        progress_bar = check("progress_bar", progress_bar)
         if self.env is None:
             raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
-        if log_interval is not None and log_interval < 1:
-            raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
         self._check_arguments()
         self.check_functions_found(callback)
         self._log_interval = log_interval
@@ -316,12 +312,12 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             self.training.forget_updates()
         self._prepare_update()
         if restart and self.use_masking:
-            states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
+            states = self.policy.state_index.of_vec(self._last_obs)
             for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
                 note_mask(self._masks(), state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
-        record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
+        record["total_timesteps"] = min(int(self._total_timesteps), MOST_STEPS)
         record["total_episodes"] = self._total_episodes if self.total_episodes else 0
         self._start_step_size(reset_num_timesteps)
         self._start_exploration()
@@ -365,6 +361,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
 
         :param seed: the seed; ``None`` for fresh entropy, which leaves the environment's generator alone
         """
+        seed = check("seed", seed)
         super().set_random_seed(seed)
         # Spawned, because an environment that is seeded with the same number draws from SeedSequence(seed) itself
         learning, predicting = np.random.SeedSequence(seed).spawn(2)
@@ -379,6 +376,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
     def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
         env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
         if not isinstance(env, VecEnv):
+            check_is_single_env(env)
             env = _patch_env(env)
             if not is_wrapped(env, Monitor) and monitor_wrapper:
                 if verbose >= 1:

@@ -1,6 +1,7 @@
 """The part of a tabular algorithm that predicts."""
 
 from math import inf
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ class Prediction:
 
     def predict(
         self,
-        observation: np.ndarray | dict[str, np.ndarray],
+        observation: Any,
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
@@ -26,13 +27,16 @@ class Prediction:
         """
         The greedy action; with ``deterministic=False`` what the behaviour policy does, at the exploration rate in force.
 
-        :param observation: one observation or a batch of them
+        The action of one observation is a number of NumPy's, ``np.int64``, where other algorithms of SB3 return an array
+        without axes: gymnasium's toy-text environments look an action up in a dict, which cannot be asked for an array.
+
+        :param observation: one observation, or several: a batch as a VecEnv gives it, or a list of observations
         :param state: handed back as it is
         :param episode_start: unused
         :param deterministic: whether to leave exploration out
         :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
             ``None`` for those that were seen with ``use_masking``, and else for all
-        :return: the action, a scalar for one observation, or the batch of actions; and ``state``
+        :return: the action, or the array of actions; and ``state``
         :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
         """
         choose = greedy if deterministic else self._explore

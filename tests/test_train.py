@@ -325,7 +325,7 @@ USAGE = 2
         (["--env", "Blackjack-v1"], "observation space, but got Tuple"),
         (["--env", "CartPole-v1", "-params", "env_wrapper:None"], r"wrappers\.DiscretizeObservation"),
         (["-params", "method:9"], "There are methods 1 to 8, .* but got 9"),
-        (["-params", "gamma:2"], "`gamma` must be from 0 to 1, but got 2"),
+        (["-params", "gamma:2"], "`gamma` must be a number from 0 to 1, but got 2"),
         (["-params", "gama:0.9"], "unexpected keyword argument 'gama'"),
         (["-params", "gamma:high"], "'high' is not defined .*are Python expressions"),
         (["-params", "gamma"], "invalid syntax .*are Python expressions"),

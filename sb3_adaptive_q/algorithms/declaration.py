@@ -5,6 +5,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from sb3_adaptive_q.checks import CONSTRUCTOR, Check
+
 
 class AlgorithmDeclaration:
     """
@@ -57,3 +59,9 @@ class AlgorithmDeclaration:
         :return: the numbers that the update finds in ``agent.parameters``, such as λ
         """
         return ()
+
+    def argument_checks(self) -> dict[str, Check]:
+        """
+        :return: what each argument of the constructor has to be, by its name; a subclass adds its own
+        """
+        return dict(CONSTRUCTOR)
