@@ -12,6 +12,7 @@ from statistics import fmean, stdev
 from typing import Any
 from urllib.parse import quote
 
+import gymnasium as gym
 import rl_zoo3.enjoy
 import rl_zoo3.train
 import yaml
@@ -19,7 +20,7 @@ from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import SubprocVecEnv
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv
 
 from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
@@ -37,6 +38,8 @@ DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
 #: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
 N_EVALUATION_EPISODES = 500
 N_EVALUATION_ENVS = 10
+#: Steps of an episode of an evaluation, in an environment without a limit of its own
+EVALUATION_LIMIT = 200
 #: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
 #: What a mistake on the command line or in the YAML file raises while an experiment is set up
@@ -101,6 +104,23 @@ class TabularExperiment(ExperimentManager):
         results = super().setup_experiment()
         self.ours.started = True
         return results
+
+    def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
+        """
+        Make the environments of the training or of an evaluation. An evaluation gets what the YAML file says in ``env_kwargs``,
+        which RL Zoo forgets, and a limit of steps where the environment has none: a greedy policy may walk against a wall for
+        ever.
+
+        :param n_envs: how many
+        :param eval_env: whether they are for an evaluation
+        :param no_log: whether to leave the Monitor's file out
+        :return: the environments
+        """
+        if eval_env and self._eval_env_kwargs_args is None:
+            self.eval_env_kwargs = dict(self.env_kwargs)
+        if eval_env and gym.spec(self.env_name.gym_id).max_episode_steps is None:
+            self.eval_env_kwargs.setdefault("max_episode_steps", EVALUATION_LIMIT)
+        return super().create_envs(n_envs, eval_env, no_log)
 
     def save_trained_model(self, model: BaseAlgorithm) -> None:
         """
