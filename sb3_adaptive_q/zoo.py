@@ -5,16 +5,20 @@ import json
 import runpy
 import shutil
 import sys
+from collections.abc import Callable
 from functools import partial
+from itertools import count
 from math import sqrt
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 from urllib.parse import quote
 
+import gymnasium as gym
 import rl_zoo3.enjoy
 import rl_zoo3.train
 import yaml
+from optuna.samplers import BaseSampler
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -25,8 +29,10 @@ from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.hyperparameters import tensorboard_outputs
+from sb3_adaptive_q.output import spell_out_what_cannot_be_written
 from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.zoo_runs import FOLDER, plot_training, with_latest_model
 
 ALGORITHM = "tabular_q"
 #: The hyperparameters used where ``-conf`` names no others
@@ -37,6 +43,8 @@ DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
 #: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
 N_EVALUATION_EPISODES = 500
 N_EVALUATION_ENVS = 10
+#: Of each environment. Without a step limit, a greedy policy may walk against a wall for ever
+MOST_EVALUATION_STEPS = 200_000
 #: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
 #: What a mistake on the command line or in the YAML file raises while an experiment is set up
@@ -71,6 +79,10 @@ def merge_method(hyperparams: dict[str, Any] | None, method: int | str | None) -
     elif "learning_rate" in merged:
         merged.update(method=None, method_kwargs=None)
     return merged
+
+
+class _NoEnd(Exception):
+    """The evaluation takes too long."""
 
 
 class TabularExperiment(ExperimentManager):
@@ -111,24 +123,46 @@ class TabularExperiment(ExperimentManager):
         super().save_trained_model(model)
         recent = [info["r"] for info in model.ep_info_buffer or ()]
         greedy = self._greedy_rewards(model)
-        for output in tensorboard_outputs(model):
+        for output in tensorboard_outputs(model) if greedy else ():
             # Under the tag of SB3's EvalCallback, whose evaluations are of few episodes
             output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
-            (f"Greedy policy, {len(greedy)} episodes", describe(greedy)),
+            (
+                f"Greedy policy, {len(greedy) or N_EVALUATION_EPISODES} episodes",
+                describe(greedy) if greedy else f"did not end within {MOST_EVALUATION_STEPS} steps of each environment",
+            ),
             ("Model", f"{self.save_path}/{self.env_name}.zip"),
             *self._tensorboard_rows(model),
         ]
         width = max(len(name) for name, _ in rows)
         print("\n" + "\n".join(f"{name:<{width}}  {value}" for name, value in rows))
 
+    def _create_sampler(self, sampler_method: str) -> BaseSampler:
+        try:
+            return super()._create_sampler(sampler_method)
+        except ModuleNotFoundError as error:
+            sys.exit(
+                f"error: --sampler {sampler_method} needs {error.name}: install it with  pip install {error.name}  or use "
+                "--sampler tpe"
+            )
+
     def _greedy_rewards(self, model: BaseAlgorithm) -> list[float]:
         # Played in the ordinary environment, however the model was trained
         self.vec_env_class = LeanVecEnv
         env = self.create_envs(N_EVALUATION_ENVS, eval_env=True)
-        rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, return_episode_rewards=True)
-        env.close()
+        steps = count()
+
+        def stop_in_time(*_: Any) -> None:
+            if next(steps) > MOST_EVALUATION_STEPS * N_EVALUATION_ENVS:
+                raise _NoEnd
+
+        try:
+            rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, callback=stop_in_time, return_episode_rewards=True)
+        except _NoEnd:
+            return []
+        finally:
+            env.close()
         assert isinstance(rewards, list)
         return rewards
 
@@ -186,9 +220,9 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     :return: our options, and the rest, which is RL Zoo's
     """
     parser = argparse.ArgumentParser(
-        usage="%(prog)s [train | enjoy | record-video] [option ...]",
-        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it. "
-        "Unless told otherwise: --algo tabular_q "
+        usage="%(prog)s [train | enjoy | record-video | plot] [option ...]",
+        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it, and after "
+        "plot, draw how it learned. Unless told otherwise: --algo tabular_q "
         f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
         add_help=False,
         allow_abbrev=False,
@@ -242,11 +276,8 @@ def enjoy(arguments: list[str]) -> None:
     :param arguments: the command line
     :raises SystemExit: if there is no such agent
     """
-    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
-    try:
-        rl_zoo3.enjoy.enjoy()
-    except (AssertionError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    sys.argv[1:] = with_latest_model([*DEFAULTS, "-f", FOLDER, *arguments])
+    _show(rl_zoo3.enjoy.enjoy)
 
 
 def record_video(arguments: list[str]) -> None:
@@ -256,25 +287,42 @@ def record_video(arguments: list[str]) -> None:
     :param arguments: the command line
     :raises SystemExit: if there is no such agent
     """
-    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
+    sys.argv[1:] = with_latest_model([*DEFAULTS, "-f", FOLDER, *arguments])
+    _show(partial(runpy.run_module, "rl_zoo3.record_video", run_name="__main__"))
+
+
+def _show(program: Callable[[], Any]) -> None:
     try:
-        runpy.run_module("rl_zoo3.record_video", run_name="__main__")
+        program()
     except (AssertionError, ValueError) as error:
+        sys.exit(f"error: {error} (a search with --optimize leaves no model: train one first)")
+    except gym.error.DependencyNotInstalled as error:
         sys.exit(f"error: {error}")
 
 
+def plot(arguments: list[str]) -> None:
+    """
+    Run RL Zoo's ``plot_train``, which plots the returns of trainings, with our defaults.
+
+    :param arguments: the command line; ``-o FILE`` saves the picture
+    :raises SystemExit: if there is nothing to plot
+    """
+    plot_training(["-a", ALGORITHM, "-e", "FrozenLake-v1", "-f", FOLDER, *arguments])
+
+
 #: What the first argument may ask for; anything else is training
-PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video}
+PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video, "plot": plot}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """
-    Train or, with ``enjoy`` or ``record-video`` as the first argument, show a trained agent.
+    Train or, with ``enjoy``, ``record-video`` or ``plot`` as the first argument, show a trained agent, or how it learned.
 
     :param arguments: the command line; ``None`` for that of the process
     :raises SystemExit: if there is a mistake in it
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    spell_out_what_cannot_be_written()
     register()
     if arguments[:1] and arguments[0] in PROGRAMS:
         PROGRAMS[arguments[0]](arguments[1:])
