@@ -1,6 +1,7 @@
 """Training with RL Zoo: the tabular algorithms among its own, and its programs with our defaults."""
 
 import argparse
+import json
 import runpy
 import shutil
 import sys
@@ -9,6 +10,7 @@ from math import sqrt
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
+from urllib.parse import quote
 
 import rl_zoo3.enjoy
 import rl_zoo3.train
@@ -22,6 +24,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.callbacks import method as make_method
+from sb3_adaptive_q.hyperparameters import tensorboard_outputs
 from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 
@@ -108,6 +111,9 @@ class TabularExperiment(ExperimentManager):
         super().save_trained_model(model)
         recent = [info["r"] for info in model.ep_info_buffer or ()]
         greedy = self._greedy_rewards(model)
+        for output in tensorboard_outputs(model):
+            # Under the tag of SB3's EvalCallback, whose evaluations are of few episodes
+            output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
             (f"Greedy policy, {len(greedy)} episodes", describe(greedy)),
@@ -132,6 +138,7 @@ class TabularExperiment(ExperimentManager):
         return [
             ("TensorBoard log", str(model.logger.get_dir())),
             ("Open it with", f"{tensorboard_command()} --logdir {Path(self.tensorboard_log).parent}"),
+            ("Reward and μ", tensorboard_address()),
         ]
 
 
@@ -151,6 +158,12 @@ def tensorboard_command() -> str:
     if shutil.which("tensorboard") == str(beside) or not beside.exists():
         return "tensorboard"
     return str(beside.relative_to(Path.cwd()) if beside.is_relative_to(Path.cwd()) else beside)
+
+
+def tensorboard_address() -> str:
+    """:return: the address that shows the mean reward and μ on TensorBoard's first screen, for a server at its usual port"""
+    cards = [{"plugin": "scalars", "tag": tag} for tag in ("rollout/ep_rew_mean", "train/learning_rate")]
+    return f"http://localhost:6006/?pinnedCards={quote(json.dumps(cards, separators=(',', ':')))}#timeseries"
 
 
 def method_name(text: str) -> int | str:

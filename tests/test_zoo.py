@@ -160,7 +160,7 @@ def test_cart_pole_has_the_papers_grid(env_id: str) -> None:
     (wrapper,) = CONFIG[env_id]["env_wrapper"]
     bounds = [2.4, 4.0, 0.2095, 4.0]
     expected = {"n_edges": 10, "low": [-bound for bound in bounds], "high": bounds}
-    assert wrapper == {"wrappers.DiscretizeObservation": expected}
+    assert wrapper == {"sb3_adaptive_q.wrappers.DiscretizeObservation": expected}
     env = rl_zoo3.get_wrapper_class({"env_wrapper": wrapper})(gym.make(env_id))  # type: ignore[misc]
     assert env.observation_space == gym.spaces.Discrete(11**4)
 
