@@ -11,8 +11,9 @@ import tyro
 import yaml
 
 from sb3_adaptive_q import ALGORITHMS
+from sb3_adaptive_q.checks import LEAGUE
 from sb3_adaptive_q.envs.catalogue import PROBLEMS
-from sb3_adaptive_q.experiments.design import check_least, check_selection, grid, parse_sweep
+from sb3_adaptive_q.experiments.design import check_options, check_selection, grid, parse_sweep
 from sb3_adaptive_q.experiments.environments import make_env
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
 from sb3_adaptive_q.experiments.names import (
@@ -139,10 +140,7 @@ class LeagueSettings:
     def __post_init__(self) -> None:
         for name, values in (("tracks", self.names_of_tracks), ("methods", self.methods), ("environments", self.environments)):
             check_selection(name, values)
-        for name in ("runs", "tuning_runs", "resamples", "steps"):
-            check_least(name, getattr(self, name), 2)
-        if not 0.0 <= self.gamma <= 1.0:
-            raise DesignError(f"gamma must be from 0 to 1, but is {self.gamma}.")
+        check_options(self, LEAGUE)
         for name in self.names_of_tracks:
             if name not in TRACKS:
                 raise unknown_name("track", name, TRACKS)
