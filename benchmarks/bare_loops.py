@@ -40,6 +40,57 @@ def by_sign(mu, value, next_value):
 RULES = {1: constant, 7: by_sign}
 
 
+@njit(**INLINED)
+def polynomial_size(memory, state, action, error):
+    """1 / n^0.8."""
+    memory[0][state, action] += 1.0
+    return 1.0 / memory[0][state, action] ** 0.8
+
+
+@njit(**INLINED)
+def bakf_size(memory, state, action, error):
+    """The bias-adjusted Kalman filter, with a target of 0.05."""
+    counts, weights, biases, squares, factors = memory
+    counts[state, action] += 1.0
+    count, weight = counts[state, action], 1.0
+    if count > 1.0:
+        weight = weights[state, action] / (weights[state, action] + (1.0 - 0.05))
+    bias = (1.0 - weight) * biases[state, action] + weight * error
+    square = (1.0 - weight) * squares[state, action] + weight * error * error
+    factor = factors[state, action]
+    if count <= 2.0:
+        size = 1.0 / count
+    elif square == 0.0:
+        size = factor / (1.0 + factor)
+    else:
+        size = 1.0 - max(square - bias * bias, 0.0) / (1.0 + factor) / square
+    weights[state, action], biases[state, action], squares[state, action] = weight, bias, square
+    factors[state, action] = (1.0 - size) * (1.0 - size) * factor + size * size
+    return min(max(size, 0.0), 1.0)
+
+
+@njit(**INLINED)
+def autostep_size(memory, state, action, error):
+    """Autostep, with a meta step size of 0.01 and tau = 10 000."""
+    sizes, traces, largests = memory
+    size, trace = sizes[state, action], traces[state, action]
+    change, largest = error * trace, largests[state, action]
+    largest = max(abs(change), largest + size / 1e4 * (abs(change) - largest))
+    if largest != 0.0:
+        size *= math.exp(0.01 * (change / largest))
+    size = min(size, 1.0)
+    sizes[state, action], largests[state, action] = size, largest
+    traces[state, action] = trace * (1.0 - size) + size * error
+    return size
+
+
+#: Step sizes with memory by name, with what each of their arrays starts from
+SIZES = {
+    "polynomial": (polynomial_size, (0.0,)),
+    "bakf": (bakf_size, (0.0, 0.0, 0.0, 0.0, 0.0)),
+    "autostep": (autostep_size, (0.1, 0.0, 0.0)),
+}
+
 draw = njit(**INLINED)(uniform)
 
 
@@ -98,6 +149,14 @@ def lake_arrays() -> tuple[np.ndarray, ...]:
     return cumulative[:, :, :2].copy(), next_states, rewards, terminal
 
 
+@njit(**INLINED)
+def lake_outcome(cumulative, state, action, environment):
+    number, outcome = environment.random(), 0
+    for i in range(2):
+        outcome += 1 if cumulative[state, action, i] <= number else 0
+    return outcome
+
+
 def make_lake_loop(method: int) -> Callable[[int, int], np.ndarray]:
     """
     :param method: 1 or 7
@@ -111,9 +170,7 @@ def make_lake_loop(method: int) -> Callable[[int, int], np.ndarray]:
         state, length, mu = 0, 0, 0.01
         action = choose(table, state, EPSILON, agent)
         for step in range(1, n_steps + 1):
-            number, outcome = environment.random(), 0
-            for i in range(2):
-                outcome += 1 if cumulative[state, action, i] <= number else 0
+            outcome = lake_outcome(cumulative, state, action, environment)
             next_state, terminated = next_states[state, action, outcome], terminal[state, action, outcome]
             length += 1
             value = table[state, action]
@@ -133,6 +190,44 @@ def make_lake_loop(method: int) -> Callable[[int, int], np.ndarray]:
     def learn(seed: int, n_steps: int) -> np.ndarray:
         table = np.zeros((16, 4))
         loop(*arrays, table, np.random.default_rng(seed), agent_counter(seed), n_steps)
+        return table
+
+    return learn
+
+
+def make_memory_loop(name: str) -> Callable[[int, int], np.ndarray]:
+    """
+    :param name: a key of ``SIZES``
+    :return: as :func:`make_lake_loop`, with a step size for each entry
+    """
+    size, starts = SIZES[name]
+
+    @njit(**BARE)
+    def loop(cumulative, next_states, rewards, terminal, table, memory, environment, agent, n_steps):
+        environment.random()  # the first state is always 0
+        state, length = 0, 0
+        action = choose(table, state, EPSILON, agent)
+        for step in range(1, n_steps + 1):
+            outcome = lake_outcome(cumulative, state, action, environment)
+            next_state, terminated = next_states[state, action, outcome], terminal[state, action, outcome]
+            length += 1
+            value = table[state, action]
+            best = 0.0 if terminated else largest(table, next_state)
+            error = rewards[state, action, outcome] + GAMMA * best - value
+            table[state, action] = value + size(memory, state, action, error) * error
+            epsilon = EPSILON + EPSILON_SLOPE * (step / n_steps)
+            next_action = 0 if terminated else choose(table, next_state, epsilon, agent)
+            if terminated or length >= LAKE_STEPS:
+                environment.random()
+                next_state, length = 0, 0
+                next_action = choose(table, next_state, epsilon, agent)
+            state, action = next_state, next_action
+
+    arrays = lake_arrays()
+
+    def learn(seed: int, n_steps: int) -> np.ndarray:
+        table, memory = np.zeros((16, 4)), tuple(np.full((16, 4), start) for start in starts)
+        loop(*arrays, table, memory, np.random.default_rng(seed), agent_counter(seed), n_steps)
         return table
 
     return learn

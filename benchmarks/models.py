@@ -1,5 +1,7 @@
 """The learners that the comparisons run."""
 
+from typing import Any
+
 import gymnasium as gym
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
@@ -10,7 +12,9 @@ from wrappers import DiscretizeObservation
 
 
 class PlainCallback(BaseCallback):
-    """A callback of a user's own, which SB3 calls at every step and the compiled path once for each stretch."""
+    """A callback of a user's own, which SB3 calls at every step and the compiled path once for each rollout."""
+
+    knows_rollouts = True
 
     def _on_step(self) -> bool:
         return True
@@ -24,14 +28,15 @@ def discretize(env: gym.Env) -> gym.Env:
     return DiscretizeObservation(env, N_EDGES, [-bound for bound in POLE_BOUNDS], POLE_BOUNDS)
 
 
-def compiled_model(env_id: str, method: int, seed: int = 0, tensorboard_log: str | None = None) -> TabularQ:
+def compiled_model(env_id: str, method: int | str, seed: int = 0, n_envs: int = 1, **options: Any) -> TabularQ:
     """
     :param env_id: FrozenLake-v1, or one of the Cart Poles
-    :param method: of the paper
+    :param method: a number of the paper, or a name
     :param seed: of the model
-    :param tensorboard_log: as in TabularQ
+    :param n_envs: the number of environments
+    :param options: further arguments of TabularQ; ties are broken by the first action if none says otherwise
     :return: a model that has not learned yet
     """
     wrapper = discretize if env_id.startswith("CartPole") else None
-    env = make_vec_env(env_id, vec_env_cls=CompiledVecEnv, wrapper_class=wrapper)
-    return TabularQ("MlpPolicy", env, method=method, seed=seed, ties="first", tensorboard_log=tensorboard_log)
+    env = make_vec_env(env_id, n_envs, vec_env_cls=CompiledVecEnv, wrapper_class=wrapper)
+    return TabularQ("MlpPolicy", env, method=method, seed=seed, **{"ties": "first", **options})

@@ -38,9 +38,9 @@ def main() -> None:
         print_rows(
             f"{env_id}, method {method}: seconds until a process has learned a little, over a later one on the per-step path",
             [
-                Row("first process on the compiled path", *compiled_first, asked="at most 8"),
+                Row("first process on the compiled path", *compiled_first, asked="at most 3"),
                 Row("first process on the per-step path", *per_step_first),
-                Row("later processes on the compiled path", *compiled_later, asked="at most 0.5"),
+                Row("later processes on the compiled path", *compiled_later, asked="at most 0.2"),
             ],
         )
 

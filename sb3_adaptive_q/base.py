@@ -19,24 +19,30 @@ from stable_baselines3.common.utils import get_device
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
-from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays, note_mask
-from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
-from sb3_adaptive_q.installed_method import check_step_size
+from sb3_adaptive_q.action_masks import ALLOWED, note_mask
+from sb3_adaptive_q.callbacks import (
+    EpisodeSeriesCallback,
+    LearningRateCallback,
+    check_callback,
+    iterate_callbacks,
+    warn_of_rare_calls,
+)
+from sb3_adaptive_q.checks import ATTRIBUTES, MOST_STEPS, RATE, check
+from sb3_adaptive_q.hyperparameters import record_hyperparameters
+from sb3_adaptive_q.learned_table import LearnedTable
 from sb3_adaptive_q.logs import record_logs
-from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions, greedy
+from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
+from sb3_adaptive_q.prediction import Prediction
 from sb3_adaptive_q.random_numbers import first_counter
 from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
-from sb3_adaptive_q.state_index import StateIndex
-from sb3_adaptive_q.step_size_in_force import StepSizeInForce
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.training_state import TrainingState, integer_of_state
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.vec_env.protocol import check_is_single_env
 
 SelfTabularAlgorithm = TypeVar("SelfTabularAlgorithm", bound="TabularAlgorithm")
-
-#: More steps than are ever taken, and few enough for 64 bits
-NO_END = 2**62
 
 #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
 _SETTING_UP = threading.Lock()
@@ -46,13 +52,13 @@ class _Training:
     """One call of ``learn``."""
 
 
-class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
+class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
     """
     An algorithm that learns a table of action values, under the interface of Stable-Baselines3.
 
     A subclass needs one attribute, :attr:`update`, a plain function of numbers and arrays; see
     :func:`sb3_adaptive_q.algorithms.q_learning.q_learning` for its arguments. It may also declare further tables, arrays of a
-    training and parameters, with the methods and attributes of the section "For subclasses" below.
+    training and parameters, by what :class:`~sb3_adaptive_q.algorithms.declaration.AlgorithmDeclaration` has.
 
     :param policy: ``"MlpPolicy"``, which is the table; the name is SB3's, no network is involved
     :param env: the environment to learn from, or its id; ``None`` for a model that is only loaded to predict
@@ -92,53 +98,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": MlpPolicy}
     policy: TabularQPolicy
 
-    # For subclasses
-    #: The update, a plain function
-    update: ClassVar[Callable[..., Any]]
-    #: How many tables the step size has memory for
-    n_tables: ClassVar[int] = 1
-    #: Whether an update changes one entry of ``q_table`` and nothing else, so that a refused one can be taken back
-    updates_one_entry: ClassVar[bool] = True
-    #: Whether the next action is drawn from the table before the update
-    chooses_before_update: ClassVar[bool] = False
-
-    def update_function(self) -> Callable[..., Any]:
-        """
-        :return: the update, where arguments of the constructor decide between several functions
-        """
-        return self.update
-
-    def extra_tables(self, n_states: int, n_actions: int) -> dict[str, tuple[int, ...]]:
-        """
-        :param n_states: rows of the table
-        :param n_actions: columns of the table
-        :return: the shapes of further tables by name. They are float64, start from ``initial_q``, and are saved
-        """
-        return {}
-
-    def working_arrays(self, n_envs: int, n_states: int, n_actions: int) -> dict[str, np.ndarray]:
-        """
-        :param n_envs: the number of environments
-        :param n_states: rows of the table
-        :param n_actions: columns of the table
-        :return: arrays that the update works with in the course of episodes, such as traces, by name
-        """
-        return {}
-
-    def check_working_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """
-        Check arrays that were read from a file, whose numbers machine code looks up without a check.
-
-        :param arrays: of the names, shapes and types of :meth:`working_arrays`
-        :raises ValueError: if the update cannot go on with them
-        """
-
-    def update_parameters(self) -> tuple[float, ...]:
-        """
-        :return: the numbers that the update finds in ``agent.parameters``, such as λ
-        """
-        return ()
-
     # The state of a training, kept where machine code reads and writes it
     num_timesteps: int = integer_of_state("num_timesteps", "Environment steps taken.")
     _episode_num: int = integer_of_state("n_episodes", "Episodes finished.")
@@ -176,10 +135,10 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self._get_policy_from_name(policy) if isinstance(policy, str) else policy,
             env,
             learning_rate,
-            policy_kwargs=policy_kwargs,
+            policy_kwargs=check("policy_kwargs", policy_kwargs),
             stats_window_size=stats_window_size,
             tensorboard_log=tensorboard_log,
-            verbose=verbose,
+            verbose=check("verbose", verbose),
             device=_cpu(device),
             support_multi_env=True,
             seed=seed,
@@ -206,7 +165,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self._log_interval: int | None = None
         self._last_dump = 0
         if self.env is not None:
-            StateIndex(self.observation_space)
+            make_state_index(self.observation_space)
             count_actions(self.action_space)
         if _init_setup_model:
             self._setup_model()
@@ -229,13 +188,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self._install_own_method()
         self._choose_functions()
 
-    def _share_mu(self) -> None:
-        """Let the policy's ``mu`` and the training state's be the same memory: the policy may be another one by now."""
-        own = th.from_numpy(self.training.record["mu"])
-        if self.policy.mu.data_ptr() != own.data_ptr():
-            own[:] = self.policy.mu
-            self.policy.mu = own
-
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_learning", "_rollout", "choices")}
 
@@ -247,10 +199,12 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self._choose_functions()
 
     def _check_arguments(self) -> None:
-        for name in ("gamma", "exploration_fraction"):
-            check_step_size(name, getattr(self, name))
-        self._check_exploration()
-        check_step_size("learning_rate", self.learning_rate(1.0) if callable(self.learning_rate) else self.learning_rate)
+        """Check the attributes that are the constructor's arguments, and make plain types of them."""
+        for name, each in (self.argument_checks() | self._exploration_checks()).items():
+            attribute = ATTRIBUTES.get(name, name)
+            setattr(self, attribute, each.apply(name, getattr(self, attribute)))
+        if callable(self.learning_rate):
+            RATE.apply("learning_rate", self.learning_rate(1.0))
         if self.method is None and self.method_kwargs:
             raise ValueError(
                 f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
@@ -259,49 +213,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             raise ValueError(
                 f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
             )
-        for name in ("total_episodes", "callback_interval"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | np.integer) and value >= 1):
-                raise ValueError(f"`{name}` must be at least 1, or None, and a whole number, but got {value}.")
-        if not np.isfinite(self.initial_q).all():
-            raise ValueError(f"`initial_q` must be finite, but got {self.initial_q}.")
-
-    @property
-    def q_table(self) -> np.ndarray:
-        """
-        The live table of action values, of shape (n_states, n_actions). Another table may be assigned: its values are copied.
-        """
-        return self.policy.q_table.numpy()
-
-    @q_table.setter
-    def q_table(self, values: Any) -> None:
-        values = np.asarray(values, dtype=np.float64)
-        if values.shape != self.q_table.shape or not np.isfinite(values).all():
-            raise ValueError(
-                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape "
-                f"{values.shape}{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
-            )
-        self.q_table[:] = values
-        for name in self.extra_tables(*values.shape):
-            getattr(self.policy, name).numpy()[:] = values
-
-    def learning_arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[Any, ...]]:
-        """
-        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
-            of the algorithm, all as machine code takes them
-        :raises ValueError: if a table of the policy was replaced by one of another kind
-        """
-        shape = (self.policy.n_states, self.policy.n_actions)
-        shapes = {"q_table": shape, **self.extra_tables(*shape)}
-        tables = [getattr(self.policy, name).numpy() for name in shapes]
-        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
-            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
-                raise ValueError(
-                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
-                    f"and of shape {table.shape}: please put such a tensor into the policy."
-                )
-        masks = (self._masks(),) if self.use_masking else ()
-        return (*tables, *self._working.values(), *masks), (*self._step_size_memory(), self._update_parameters)
 
     def learn(
         self: SelfTabularAlgorithm,
@@ -326,6 +237,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             finite number
         :raises RuntimeError: if the model is learning already
         """
+        total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)
         training = self._claim()
         try:
             total_timesteps, callback = self._begin(
@@ -333,6 +245,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             )
             step_locals = locals()
             callback.on_training_start(step_locals, globals())
+            record_hyperparameters(self)
             self._rollout = rollout = self._make_rollout(callback, step_locals)
             if self._take_up(rollout):
                 self._learn_from(rollout, log_interval)
@@ -383,10 +296,11 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     ) -> tuple[int, BaseCallback]:  # fmt: skip
         """Check and set up what a training needs, before any callback is called."""
         check_callback(callback)
+        tb_log_name = check("tb_log_name", tb_log_name)
+        reset_num_timesteps = check("reset_num_timesteps", reset_num_timesteps)
+        progress_bar = check("progress_bar", progress_bar)
         if self.env is None:
             raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
-        if log_interval is not None and log_interval < 1:
-            raise ValueError(f"`log_interval` must be at least 1, or None for no log, but got {log_interval}.")
         self._check_arguments()
         self.check_functions_found(callback)
         self._log_interval = log_interval
@@ -397,19 +311,19 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         self.episode_series = []
         with _SETTING_UP:
             total_timesteps, callback = self._setup_learn(
-                total_timesteps, callback, reset_num_timesteps, tb_log_name or self._run_name(), progress_bar
+                total_timesteps, callback, reset_num_timesteps, tb_log_name or self._run_name(callback), progress_bar
             )
         if reset_num_timesteps:
             self._last_dump = 0
             self.training.forget_updates()
         self._prepare_update()
         if restart and self.use_masking:
-            states = [self.policy.state_index.of(observation) for observation in np.asarray(self._last_obs).tolist()]
+            states = self.policy.state_index.of_vec(self._last_obs)
             for state, info in zip(states, self.env.unwrapped.reset_infos, strict=True):
                 note_mask(self._masks(), state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
-        record["total_timesteps"] = min(int(self._total_timesteps), NO_END)
+        record["total_timesteps"] = min(int(self._total_timesteps), MOST_STEPS)
         record["total_episodes"] = self._total_episodes if self.total_episodes else 0
         self._start_step_size(reset_num_timesteps)
         self._start_exploration()
@@ -427,43 +341,12 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
             self._working = working
         self.check_masks()
 
-    def check_masks(self) -> None:
-        """
-        Check action masks that were read from a file or set by hand.
-
-        :raises ValueError: if the mask of a state forbids every action
-        """
-        if self.use_masking:
-            masks = self._masks()
-            for state in np.flatnonzero(~masks.any(axis=1)):
-                check_mask(masks[state], masks.shape[1:], f"state {state}")
-
-    def new_working_arrays(self) -> dict[str, np.ndarray]:
-        """
-        :return: the arrays that the update works with in the course of episodes, and room for action masks, as they begin
-        """
-        shape = self.q_table.shape
-        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(shape[1]) if self.use_masking else {})
-
-    def _masks(self) -> np.ndarray:
-        return getattr(self.policy, ALLOWED).numpy()
-
-    def was_exploratory(self) -> np.ndarray:
-        """
-        For a callback, on an ordinary environment: whether the action that each environment took last was exploratory, which
-        means not among the best by the table that it was chosen from.
-
-        :return: of shape (n_envs,)
-        :raises RuntimeError: on a compiled environment, where a callback sees the end of many steps, or before any action
-        """
-        if isinstance(self.env, CompiledVecEnv) or self._next_actions is None:
-            raise RuntimeError("Exploratory actions are known while `learn` steps an ordinary environment: use LeanVecEnv.")
-        taken = self.considered[np.arange(self.n_envs), self._next_actions]
-        return taken < self.considered.max(axis=1)
-
-    def _run_name(self) -> str:
+    def _run_name(self, callback: MaybeCallback) -> str:
+        """The names of the algorithm and of the method that will be in force."""
+        given = [each.method for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
+        method = given[0] if given else self._method
         name = type(self).__name__
-        return name if self._method is None else f"{name}_{self._method.data.label}"
+        return name if method is None else f"{name}_{method.data.label}"
 
     def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
         if self.use_masking and isinstance(self.env, CompiledVecEnv):
@@ -484,57 +367,6 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
         record_logs(self)
         self._last_dump = self._episode_num
 
-    def to_frame(self) -> Any:
-        """
-        :return: the table, its greedy actions and the memory of the step size as a pandas DataFrame, a row for each state
-        :raises ModuleNotFoundError: if what it needs is not installed: the extra ``plots``
-        """
-        from sb3_adaptive_q.plots import to_frame
-
-        return to_frame(self)
-
-    def __repr__(self) -> str:
-        if not hasattr(self, "policy"):
-            return f"{type(self).__name__} without a table"
-        method = "learning_rate" if self._method is None else self._method.data.label
-        return (
-            f"{type(self).__name__}({method}, {self.policy.n_states} states, {self.policy.n_actions} actions, "
-            f"{self.num_timesteps} steps learned)"
-        )
-
-    def predict(
-        self,
-        observation: np.ndarray | dict[str, np.ndarray],
-        state: tuple[np.ndarray, ...] | None = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = False,
-        action_masks: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
-        """
-        The greedy action; with ``deterministic=False`` what the behaviour policy does, at the exploration rate in force.
-
-        :param observation: one observation or a batch of them
-        :param state: handed back as it is
-        :param episode_start: unused
-        :param deterministic: whether to leave exploration out
-        :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
-            ``None`` for those that were seen with ``use_masking``, and else for all
-        :return: the action, a scalar for one observation, or the batch of actions; and ``state``
-        :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
-        """
-        choose = greedy if deterministic else self._explore
-        return self.policy.predict(observation, state, episode_start, deterministic, action_masks, choose)
-
-    def _explore(self, rows: np.ndarray) -> np.ndarray:
-        """The behaviour policy's actions by the values of each state, which are minus infinity for forbidden actions."""
-        generator = self._predict_generator
-        if self.exploration == "boltzmann" and self.exploration_rate > 0.0:
-            # With Gumbel noise, the largest one is a draw from the Boltzmann policy
-            return (rows / self.exploration_rate + generator.gumbel(size=rows.shape)).argmax(axis=1)
-        random_actions = np.where(rows == -inf, -1.0, generator.random(rows.shape)).argmax(axis=1)
-        explores = generator.random(len(rows)) < self.exploration_rate
-        return np.where(explores, random_actions, rows.argmax(axis=1))
-
     def set_random_seed(self, seed: int | None = None) -> None:
         """
         Seed the environment, the agent's counter to learn with, and a generator for :meth:`predict`, so that an evaluation in
@@ -542,6 +374,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
 
         :param seed: the seed; ``None`` for fresh entropy, which leaves the environment's generator alone
         """
+        seed = check("seed", seed)
         super().set_random_seed(seed)
         # Spawned, because an environment that is seeded with the same number draws from SeedSequence(seed) itself
         learning, predicting = np.random.SeedSequence(seed).spawn(2)
@@ -556,6 +389,7 @@ class TabularAlgorithm(Resumable, StepSizeInForce, BaseAlgorithm):
     def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
         env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
         if not isinstance(env, VecEnv):
+            check_is_single_env(env)
             env = _patch_env(env)
             if not is_wrapped(env, Monitor) and monitor_wrapper:
                 if verbose >= 1:

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EventCallback
 
-from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_finite, check_step_size
+from sb3_adaptive_q.checks import RATE, check
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.step_sizes import find_step_size, paper, resolve_parameters
 
 
@@ -73,7 +74,7 @@ class LearningRateCallback(BaseCallback):
             owner=f"{kind.__module__}:{kind.__qualname__}",
             label=kind.__name__,
             parameters=dict(parameters),
-            memory=dict(kind.memory if memory is None else memory),
+            memory=check("memory", kind.memory if memory is None else memory),
             counts=kind.counts,
             scope=scope,
             mu_0=mu_0,
@@ -119,7 +120,7 @@ class StepSizeCallback(LearningRateCallback):
         given = {"lower": lower, "upper": upper}
         own = {key: value for key, value in given.items() if key in each.parameters and value is not None}
         bounds = {key: value for key, value in given.items() if key not in each.parameters and value is not None}
-        _check_bounds(*(limits := (bounds.get("lower", each.lower), bounds.get("upper", each.upper))))
+        limits = _check_bounds(bounds.get("lower", each.lower), bounds.get("upper", each.upper))
         values = resolve_parameters(name, {**parameters, **own})
         data = MethodData(name, name, values, each.start_values(values), each.counts, scope, limits)
         self._install(InstalledMethod(data, (each.step_size, None)))
@@ -136,7 +137,7 @@ class ConstantRateCallback(LearningRateCallback):
     rule = staticmethod(paper.constant_rate)
 
     def __init__(self, beta: float = 0.01) -> None:
-        check_step_size("beta", beta)
+        beta = check("beta", beta)
         super().__init__(beta=beta)
 
 
@@ -144,8 +145,8 @@ class _LinearRateCallback(LearningRateCallback):
     """What Methods 3 and 4 have in common: from one end of [β1, β1 + β3] to the other."""
 
     def __init__(self, beta_1: float = 0.01, beta_3: float = 0.04) -> None:
-        check_step_size("beta_1", beta_1)
-        check_step_size("beta_1 + beta_3", beta_1 + beta_3)
+        beta_1, beta_3 = check("beta_1", beta_1), check("beta_3", beta_3)
+        RATE.apply("beta_1 + beta_3", beta_1 + beta_3)
         super().__init__(beta_1=beta_1, beta_3=beta_3)
 
 
@@ -197,8 +198,8 @@ class ProportionalRateCallback(LearningRateCallback):
         next_action: str = "same",
         reset_each_episode: bool = False,
     ) -> None:
-        _check_bounds(lower, upper)
-        super().__init__(mu_0, next_action, reset_each_episode, gain=gain, lower=lower, upper=upper)
+        lower, upper = _check_bounds(lower, upper)
+        super().__init__(mu_0, next_action, reset_each_episode, gain=check("gain", gain), lower=lower, upper=upper)
 
 
 class SignRateCallback(LearningRateCallback):
@@ -225,9 +226,8 @@ class SignRateCallback(LearningRateCallback):
         next_action: str = "next",
         reset_each_episode: bool = False,
     ) -> None:
-        _check_bounds(lower, upper)
-        check_finite("step", step)
-        super().__init__(mu_0, next_action, reset_each_episode, change=step, lower=lower, upper=upper)
+        lower, upper = _check_bounds(lower, upper)
+        super().__init__(mu_0, next_action, reset_each_episode, change=check("step", step), lower=lower, upper=upper)
 
 
 class Method(NamedTuple):
@@ -375,8 +375,7 @@ def check_callback(callback: Any) -> None:
     :param callback: what ``learn`` takes
     :raises ValueError: if it is nothing of the kind, or more than one callback in it would set the step size
     """
-    if not (callback is None or callable(callback) or isinstance(callback, BaseCallback | list)):
-        raise ValueError(f"`callback` must be a callback, a list of callbacks, a function or None, but got {callback!r}.")
+    check("callback", callback)
     found = [type(each).__name__ for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
     if len(found) > 1:
         raise ValueError(f"One learning-rate method can be in force at a time, but got {', '.join(found)}: pass one of them.")
@@ -414,8 +413,8 @@ def _is_method_number(number: Any) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool) and number in METHODS
 
 
-def _check_bounds(lower: float, upper: float) -> None:
-    check_step_size("lower", lower)
-    check_step_size("upper", upper)
+def _check_bounds(lower: float, upper: float) -> tuple[float, float]:
+    lower, upper = check("lower", lower), check("upper", upper)
     if lower > upper:
         raise ValueError(f"`lower` must not be above `upper`, but got lower={lower} and upper={upper}.")
+    return lower, upper

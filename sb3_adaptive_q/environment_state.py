@@ -24,7 +24,7 @@ from sb3_adaptive_q.saved_values import path_of
 from sb3_adaptive_q.vec_env.compiled_env import CompiledEnv
 from sb3_adaptive_q.vec_env.dynamics import find_dynamics
 from sb3_adaptive_q.vec_env.tabular_dynamics import steps_by_table
-from wrappers import DiscretizeObservation
+from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 #: What gymnasium's environments, and ours, keep from step to step
 _STATE_OF_ENV: dict[type[gym.Env], tuple[str, ...]] = {

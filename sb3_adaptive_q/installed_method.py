@@ -3,15 +3,18 @@
 import inspect
 from collections.abc import Callable
 from functools import cached_property
-from math import isfinite
 from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
-from sb3_adaptive_q.step_sizes.cells import COUNTS, MOST_ARRAYS, SCOPES, keep_mu, last_size, make_size, scalar_size
+from sb3_adaptive_q.checks import FINITE, check
+from sb3_adaptive_q.compiled.jit import CannotCompile, type_returned
+from sb3_adaptive_q.step_sizes.cells import COUNTS, MOST_ARRAYS, keep_mu, last_size, make_size, scalar_size
 from sb3_adaptive_q.step_sizes.step import Step, clip_size
+
+
+_STEP_OF_ZEROS = Step(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class MethodData(NamedTuple):
@@ -52,7 +55,7 @@ class InstalledMethod:
 
     def __init__(self, data: MethodData, functions: tuple[Any, Any]) -> None:
         self.step_size, self.rule = functions
-        _check_data(data)
+        data = _check_data(data)
         self.data = data._replace(parameters=self._in_order(data))
 
     def _in_order(self, data: MethodData) -> dict[str, float]:
@@ -69,9 +72,7 @@ class InstalledMethod:
                         "them agree, parameters first."
                     )
                 data = data._replace(parameters={name: data.parameters[name] for name in takes})
-        for name, value in data.parameters.items():
-            check_finite(name, value)
-        return {name: float(value) for name, value in data.parameters.items()}
+        return {name: FINITE.apply(name, value) for name, value in data.parameters.items()}
 
     @property
     def arguments(self) -> tuple[float, ...]:
@@ -102,6 +103,26 @@ class InstalledMethod:
             return self.rule
         return last_size if self.step_size is not None else keep_mu
 
+    def check_functions(self) -> None:
+        """
+        Compile functions of a user's own by themselves, for a message that names the one at fault.
+
+        :raises CannotCompile: if one is outside the part of Python that becomes machine code
+        :raises ValueError: if one returns something else than a number
+        """
+        arrays = [np.zeros((1, 1)) for _ in self.data.memory]
+        for name, function, further in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
+            if function is None or function.__module__.partition(".")[0] == __package__:
+                continue
+            try:
+                other = type_returned(function, (0.0, _STEP_OF_ZEROS, *self.arguments, *further))
+            except CannotCompile as error:
+                raise CannotCompile(f"`{name}` does not compile, because {error}") from error
+            if other is not None:
+                raise ValueError(
+                    f"`{name}` of {self.data.owner} must return a number in every case, but returns {other}: please check it."
+                )
+
     def start(self) -> float:
         """
         :return: the scalar step size of the first update
@@ -109,13 +130,13 @@ class InstalledMethod:
         """
         if self.data.mu_0 is not None:
             return float(self.data.mu_0)
-        step = Step(0, 0, 0, 0, 1.0 if self.data.counts else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        step = _STEP_OF_ZEROS._replace(count=1.0 if self.data.counts else 0.0)
         if self.step_size is not None:
             arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
-            mu = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
+            mu: Any = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
         else:
             mu = self.rule(0.0, step, *self.arguments)
-        if not is_step_size(mu):
+        if not (isinstance(mu, Real) and 0.0 <= float(mu) <= 1.0):
             raise ValueError(
                 f"{self.data.owner} must give step sizes from 0 to 1, but for a step of zeros, where training starts, it gave "
                 f"{mu!r}: please check it, or say `mu_0`."
@@ -123,45 +144,11 @@ class InstalledMethod:
         return float(mu)
 
 
-def is_step_size(value: Any) -> bool:
-    """
-    :param value: anything
-    :return: whether it is a number from 0 to 1
-    """
-    return isinstance(value, Real) and 0.0 <= float(value) <= 1.0
-
-
-def check_step_size(name: str, value: Any) -> None:
-    """
-    :param name: what the value is called
-    :param value: a step size, a rate or a discount factor
-    :raises ValueError: if it is not a number from 0 to 1
-    """
-    if not is_step_size(value):
-        raise ValueError(f"`{name}` must be from 0 to 1, but got {value!r}.")
-
-
-def check_finite(name: str, value: Any) -> None:
-    """
-    :param name: what the value is called
-    :param value: a parameter of a method
-    :raises ValueError: if it is not a finite number
-    """
-    if not isinstance(value, Real) or not isfinite(value):
-        raise ValueError(f"`{name}` must be finite and a number, but got {value!r}.")
-
-
-def _check_data(data: MethodData) -> None:
-    if data.next_action not in NEXT_ACTIONS:
-        raise ValueError(f"`next_action` must be one of {', '.join(NEXT_ACTIONS)}, but got {data.next_action!r}.")
-    if data.scope not in SCOPES:
-        raise ValueError(f"`scope` must be one of {', '.join(SCOPES)}, but got {data.scope!r}.")
-    if not isinstance(data.reset_each_episode, bool | np.bool_):
-        raise ValueError(f"`reset_each_episode` must be True or False, but got {data.reset_each_episode!r}.")
-    if data.mu_0 is not None:
-        check_step_size("mu_0", data.mu_0)
+def _check_data(data: MethodData) -> MethodData:
+    checked = {name: check(name, getattr(data, name)) for name in ("scope", "mu_0", "next_action", "reset_each_episode")}
     if len(data.memory) + data.counts > MOST_ARRAYS:
         raise ValueError(f"A step size may have {MOST_ARRAYS} arrays, the counts included, but {data.owner} has more.")
+    return data._replace(**checked)
 
 
 def _further_arguments(owner: str, name: str, function: Callable[..., Any]) -> list[str]:

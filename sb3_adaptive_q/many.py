@@ -9,6 +9,7 @@ from typing import ClassVar
 from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_adaptive_q.base import TabularAlgorithm
+from sb3_adaptive_q.checks import check
 from sb3_adaptive_q.vec_env import CompiledVecEnv
 
 
@@ -32,8 +33,11 @@ def learn_many(
     :raises ValueError: if a model is there twice, its environment is not compiled, or two share an environment
     """
     _check_independence(models)
-    if workers is not None and workers < 1:
-        raise ValueError(f"`workers` must be at least 1, or None for the number of cores, but got {workers}.")
+    workers = check("workers", workers)
+    for name, value in (
+        ("total_timesteps", total_timesteps), ("log_interval", log_interval), ("reset_num_timesteps", reset_num_timesteps)
+    ):  # fmt: skip
+        check(name, value)  # here, so that no model begins where all would refuse
 
     stop = threading.Event()
 
@@ -69,6 +73,8 @@ class _StopOnRequest(BaseCallback):
 
 
 def _check_independence(models: Sequence[TabularAlgorithm]) -> None:
+    if not isinstance(models, list | tuple) or not all(isinstance(model, TabularAlgorithm) for model in models):
+        raise ValueError(f"`models` must be a list of models of this package, but got {models!r}.")
     if len({id(model) for model in models}) < len(models):
         raise ValueError("Each model can learn once at a time, but one is there twice: make a model for each run.")
     for i, model in enumerate(models):
@@ -77,7 +83,7 @@ def _check_independence(models: Sequence[TabularAlgorithm]) -> None:
                 f"learn_many needs models on a CompiledVecEnv, but model {i} has a {type(model.env).__name__}: other "
                 "environments hold the interpreter lock, so let those models learn one after the other."
             )
-    environments = [id(env) for model in models for env in model.env.envs]  # type: ignore[union-attr]
+    environments = [id(env) for model in models for env in model.env.envs]
     if len(set(environments)) < len(environments):
         raise ValueError("Models that learn at the same time need environments of their own, but two share one.")
 

@@ -1,5 +1,6 @@
 """Models as files of plain data: SB3's ``save``, ``load`` and ``set_parameters``."""
 
+import difflib
 import inspect
 import warnings
 from collections.abc import Iterable, Mapping
@@ -11,14 +12,15 @@ from stable_baselines3.common.type_aliases import GymEnv, TensorDict
 from stable_baselines3.common.utils import FloatSchedule, check_for_correct_spaces, get_system_info
 
 from sb3_adaptive_q.callbacks import LearningRateCallback, iterate_callbacks
-from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_step_size
+from sb3_adaptive_q.checks import ATTRIBUTES, CONSTRUCTOR, check
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.model_archive import HoldsPickles, read_archive, refusing, write_archive
 from sb3_adaptive_q.old_files import read_pickled
 from sb3_adaptive_q.policies import MEMORY, count_actions
 from sb3_adaptive_q.running import check_actions
 from sb3_adaptive_q.saved_model import SavedModel, buffers_of, collect, decode_model
 from sb3_adaptive_q.saved_values import MissingFunction, find_class
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.step_sizes import STEP_SIZES, resolve_parameters
 from sb3_adaptive_q.training_state import TrainingState
 
@@ -89,6 +91,7 @@ class SavedAsData:
         :raises ValueError: if the file is damaged or of another kind, the environment has other spaces, or an argument lies
             outside its range. Nothing has changed then
         """
+        force_reset = check("force_reset", force_reset)
         saved = cls._read(path, custom_objects, print_system_info, allow_pickle)
         model = cls._build(saved, env, device, force_reset, kwargs)
         if "lr_schedule" in (custom_objects or {}) and saved.method is None:
@@ -101,10 +104,11 @@ class SavedAsData:
     def _read(
         cls, path: Any, custom_objects: dict[str, Any] | None, print_system_info: bool, allow_pickle: bool = False
     ) -> SavedModel:
+        allow_pickle, custom = check("allow_pickle", allow_pickle), dict(check("custom_objects", custom_objects) or {})
+        print_system_info = check("print_system_info", print_system_info)
         if print_system_info:
             print("== CURRENT SYSTEM INFO ==")
             get_system_info()
-        custom = dict(custom_objects or {})
         try:
             archive = read_archive(path)
         except HoldsPickles:
@@ -128,6 +132,8 @@ class SavedAsData:
     ) -> SelfSavedAsData:
         """A model with all that the file says of it, but for what it was in the middle of."""
         attributes, changes = dict(saved.attributes), _changes_of_method(kwargs)
+        properties = {name for name in changes if isinstance(inspect.getattr_static(cls, name, None), property)}
+        changes = _checked(cls, changes, {*properties, *attributes})
         with refusing(saved.name, "cannot be loaded"):
             _check_numbers(attributes, saved)
             method = _find_method(saved.method)
@@ -141,7 +147,6 @@ class SavedAsData:
             raise ValueError(f"`policy_kwargs` must be as in the file, {attributes.get('policy_kwargs')}.")
         with refusing(saved.name, "cannot be loaded"):
             model = cls(policy=attributes["policy_class"], env=env, device=device, _init_setup_model=False)  # type: ignore[call-arg]
-            properties = {name for name in changes if isinstance(inspect.getattr_static(cls, name, None), property)}
             model.__dict__.update(attributes)
             model.__dict__.update({name: value for name, value in changes.items() if name not in properties})
             model._setup_model()  # type: ignore[attr-defined]
@@ -282,6 +287,17 @@ def _changes_of_method(kwargs: dict[str, Any]) -> dict[str, Any]:
     return dict(kwargs)
 
 
+def _checked(kind: type, changes: Mapping[str, Any], attributes: set[str]) -> dict[str, Any]:
+    """What the keyword arguments of ``load`` change, by the names of the attributes; before the file is blamed for it."""
+    known = {*CONSTRUCTOR, "method", "lr_schedule", *attributes}
+    for name in sorted(set(changes) - known):  # a slip of the pen would have no effect
+        nearest = difflib.get_close_matches(name, known, n=1)
+        advice = f": did you mean `{nearest[0]}`?" if nearest else "."
+        raise ValueError(f"`load` got `{name}`, but a {kind.__name__} has no such argument{advice}")
+    at_once = set(CONSTRUCTOR) - {"exploration_initial_eps", "exploration_final_eps"}  # what these may be, others decide
+    return {ATTRIBUTES.get(name, name): check(name, value) if name in at_once else value for name, value in changes.items()}
+
+
 def _find_method(data: MethodData | None) -> InstalledMethod | None:
     """
     :param data: the method as data
@@ -304,7 +320,7 @@ def _find_method(data: MethodData | None) -> InstalledMethod | None:
 
 def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
     """Before anything is made or seeded: a table that the spaces ask for, of numbers that learning gives."""
-    shape = StateIndex(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
+    shape = make_state_index(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
     if saved.buffers["q_table"].shape != shape:
         raise ValueError(f"`q_table` has the shape {saved.buffers['q_table'].shape}, but the spaces ask for {shape}")
     n_envs = attributes.get("n_envs", 1)
@@ -320,7 +336,7 @@ def _check_values(arrays: Mapping[str, np.ndarray]) -> None:
         if not sound.all():
             raise ValueError(f"`{name}` must hold finite numbers, but has NaN or infinities: {int((~sound).sum())} of them")
     if "mu" in arrays:
-        check_step_size("mu", float(arrays["mu"].ravel()[0]))
+        check("mu", float(arrays["mu"].ravel()[0]))
 
 
 def _check_names_and_shapes(

@@ -13,7 +13,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
 from sb3_adaptive_q.action_masks import ALLOWED, check_mask
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 
 #: What the names of the buffers of a step size begin with
 MEMORY = "memory_"
@@ -58,7 +58,7 @@ class TabularQPolicy(BasePolicy):
         initial_q: Any = 0.0,
     ) -> None:
         super().__init__(observation_space, action_space)
-        self.state_index = StateIndex(observation_space)
+        self.state_index = make_state_index(observation_space)
         self.initial_q = initial_q
         self.n_actions = count_actions(action_space)
         self.declare({"q_table": (self.n_states, self.n_actions)}, initial_q)
@@ -100,12 +100,12 @@ class TabularQPolicy(BasePolicy):
         return self._predict(obs, deterministic)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
-        assert isinstance(observation, th.Tensor)
-        return th.as_tensor(self._actions(observation.cpu().numpy(), None, greedy))
+        states = self.state_index.of_batch(_as_arrays(observation))
+        return th.as_tensor(self._actions(states, None, greedy))
 
     def predict(
         self,
-        observation: np.ndarray | dict[str, np.ndarray],
+        observation: Any,
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
@@ -115,28 +115,27 @@ class TabularQPolicy(BasePolicy):
         """
         The greedy action; without a detour through PyTorch, which costs several times the look-up.
 
-        :param observation: one observation or a batch of them
+        The action of one observation is a number of NumPy's, ``np.int64``, where other algorithms of SB3 return an array
+        without axes: gymnasium's toy-text environments look an action up in a dict, which cannot be asked for an array.
+
+        :param observation: one observation, or several: a batch as a VecEnv gives it, or a list of observations
         :param state: handed back as it is
         :param episode_start: unused
         :param deterministic: unused: this policy has no randomness; :meth:`TabularQ.predict` adds exploration
         :param action_masks: 1 for every action that is allowed, 0 for the others, of shape (n_actions,) or (batch, n_actions);
             ``None`` for those of the buffer ``allowed``, and without it for all
         :param choose: gives actions, counted from 0, by rows of action values; those of forbidden actions are minus infinity
-        :return: the action or the batch of actions, and ``state``
+        :return: the action, or the array of actions; and ``state``
         :raises ValueError: if an observation lies outside the observation space, or a mask does not fit or forbids all actions
         """
-        if isinstance(observation, tuple | dict):
-            return super().predict(observation, state, episode_start, deterministic)
-        observation = np.asarray(observation)
-        is_batch = self.is_vectorized_observation(observation)
-        observations = observation.reshape(-1, *self.observation_space.shape)  # type: ignore[misc]
-        actions = self._actions(observations, action_masks, choose)
-        return (actions if is_batch else actions[0]), state
+        if self.state_index.is_single(observation):
+            action: Any = self._actions(np.array([self.state_index.of(observation)]), action_masks, choose)[0]
+            return action, state
+        return self._actions(self.state_index.of_several(observation), action_masks, choose), state
 
     def _actions(
-        self, observations: np.ndarray, action_masks: np.ndarray | None, choose: Callable[[np.ndarray], np.ndarray]
+        self, states: np.ndarray, action_masks: np.ndarray | None, choose: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        states = self.state_index.of_batch(observations)
         rows = self.q_table.numpy()[states]
         if action_masks is not None:
             masks = np.asarray(action_masks).reshape(-1, self.n_actions)
@@ -145,10 +144,25 @@ class TabularQPolicy(BasePolicy):
             rows = np.where(getattr(self, ALLOWED).numpy()[states] > 0.0, rows, -np.inf)
         return choose(rows) + int(self.action_space.start)  # type: ignore[attr-defined]
 
+    def parameters_to_vector(self) -> np.ndarray:
+        """
+        :return: an empty vector: what learning changes are buffers, not parameters
+        """
+        return np.zeros(0, dtype=np.float32)
+
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
         del data["normalize_images"]
         return {**data, "lr_schedule": self._dummy_schedule, "initial_q": self.initial_q}
+
+
+def _as_arrays(observation: Any) -> Any:
+    """Tensors as arrays, those in a tuple or a dict too."""
+    if isinstance(observation, dict):
+        return {key: _as_arrays(part) for key, part in observation.items()}
+    if isinstance(observation, tuple):
+        return tuple(map(_as_arrays, observation))
+    return observation.cpu().numpy()
 
 
 def count_actions(space: spaces.Space[Any]) -> int:

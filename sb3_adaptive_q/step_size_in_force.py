@@ -7,10 +7,10 @@ import numpy as np
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 
 from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
-from sb3_adaptive_q.behaviour import EXPLORATIONS, SCHEDULES, TIES
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.compiled.jit import as_python
-from sb3_adaptive_q.installed_method import InstalledMethod, MethodData, check_step_size
+from sb3_adaptive_q.checks import RATE, RATE_ABOVE_0, TEMPERATURE, Check, check
+from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
 from sb3_adaptive_q.rollouts.functions import Choices, make_explore
 from sb3_adaptive_q.step_sizes.cells import keep_mu, scalar_size, scope_shape
@@ -49,7 +49,7 @@ class StepSizeInForce:
 
     @mu.setter
     def mu(self, value: float) -> None:
-        check_step_size("mu", value)
+        value = check("mu", value)
         if self._method is not None and self._method.has_memory:
             raise ValueError(
                 f"{self._method.data.label} has a step size for each entry, so `mu` cannot be set: change its arrays, "
@@ -69,8 +69,7 @@ class StepSizeInForce:
 
     @exploration_rate.setter
     def exploration_rate(self, value: float) -> None:
-        self._check_exploration_rate("exploration_rate", value)
-        self.training.record["epsilon"] = value
+        self.training.record["epsilon"] = self._rate_check().apply("exploration_rate", value)
         self.training.record["holds_epsilon"] = 1
 
     @property
@@ -192,8 +191,7 @@ class StepSizeInForce:
             record[name] = value
         explore = as_python(make_explore(self.choices.behaviour, self.exploration_schedule))  # type: ignore[attr-defined]
         epsilon = explore(record.view(np.recarray)[0], float(record["progress"][0]))
-        self._check_exploration_rate("exploration_schedule", epsilon)
-        record["epsilon"] = epsilon
+        record["epsilon"] = self._rate_check().apply("exploration_schedule", epsilon)
 
     def _progress_made(self) -> float:
         record = self.training.record[0]
@@ -219,29 +217,16 @@ class StepSizeInForce:
         if self.method is not None:
             self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
 
-    def _check_exploration(self) -> None:
-        for name, known in (("exploration", EXPLORATIONS), ("ties", TIES)):
-            if getattr(self, name) not in known:
-                raise ValueError(f"`{name}` must be one of {', '.join(known)}, but got {getattr(self, name)!r}.")
+    def _exploration_checks(self) -> dict[str, Check]:
+        """What the exploration rates have to be, which depends on the other arguments."""
+        rate = self._rate_check()
         schedule = self.exploration_schedule  # type: ignore[attr-defined]
-        if not callable(schedule) and schedule not in SCHEDULES:
-            raise ValueError(
-                f"`exploration_schedule` must be one of {', '.join(SCHEDULES)}, or a function of the progress, but got "
-                f"{schedule!r}."
-            )
-        for name in ("exploration_initial_eps", "exploration_final_eps"):
-            self._check_exploration_rate(name, getattr(self, name))
-            if schedule == "exponential" and not getattr(self, name) > 0.0:
-                raise ValueError(f"`{name}` must be above 0 for an exponential schedule, but got {getattr(self, name)!r}.")
+        if isinstance(schedule, str) and schedule == "exponential" and rate is RATE:
+            rate = RATE_ABOVE_0
+        return {"exploration_initial_eps": rate, "exploration_final_eps": rate}
 
-    def _check_exploration_rate(self, name: str, value: Any) -> None:
-        if self.exploration == "boltzmann":  # type: ignore[attr-defined]
-            if not (isinstance(value, int | float | np.number) and 0.0 < float(value) < float("inf")):
-                raise ValueError(
-                    f"`{name}` is the temperature of Boltzmann exploration and must be above 0, but got {value!r}."
-                )
-        else:
-            check_step_size(name, value)
+    def _rate_check(self) -> Check:
+        return TEMPERATURE if self.exploration == "boltzmann" else RATE  # type: ignore[attr-defined]
 
 
 def _linear_schedule(mu, step, start, end, end_fraction):  # type: ignore[no-untyped-def]

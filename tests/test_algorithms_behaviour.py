@@ -369,7 +369,7 @@ class TestPredict:
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), "0.5"])
 def test_a_bad_temperature(rate: Any) -> None:
     for name in ("exploration_initial_eps", "exploration_final_eps"):
-        with pytest.raises(ValueError, match=f"`{name}` is the temperature of Boltzmann exploration and must be above 0"):
+        with pytest.raises(ValueError, match=f"`{name}` must be a finite number above 0, the temperature of Boltzmann"):
             TabularQ("MlpPolicy", "FrozenLake-v1", exploration="boltzmann", **{name: rate})
 
 

@@ -22,7 +22,7 @@ from sb3_adaptive_q import (
 from sb3_adaptive_q.rollouts import step_rollout
 
 BAD = [
-    *[(name, {"trace_decay": value}, "`trace_decay` must be from 0 to 1, but got")
+    *[(name, {"trace_decay": value}, "`trace_decay` must be a number from 0 to 1, but got")
       for name in ("sarsa_lambda", "q_lambda") for value in (-0.1, 1.1, float("nan"), "0.5")],
     *[("n_step", {"n": value}, "`n` must be a whole number of at least 1, but got") for value in (0, -3, 1.5, True, "2")],
     ("q_lambda", {"variant": "watson"}, "`variant` must be one of watkins, peng, naive, but got 'watson'"),
@@ -31,7 +31,7 @@ BAD = [
     ("sarsa_lambda", {"trace": "replacing", "true_online": True}, "`true_online=True` needs `trace='dutch'`, but got 'repl"),
     ("n_step", {"target": "max"}, "`target` must be one of sarsa, expected, tree_backup, q, but got 'max'"),
     ("double_q", {"target": "sarsa"}, "`target` must be one of max, expected, but got 'sarsa'"),
-    *[("q_lambda", {"trace_threshold": value}, "`trace_threshold` must be a number of at least 0, but got")
+    *[("q_lambda", {"trace_threshold": value}, "`trace_threshold` must be a finite number of at least 0, but got")
       for value in (-1e-9, float("nan"), float("inf"), "0")],
 ]  # fmt: skip
 

@@ -50,16 +50,6 @@ class TestSpaces:
             TabularQ("MlpPolicy", env())
 
     @pytest.mark.parametrize(
-        "space",
-        [spaces.Dict({"a": spaces.Discrete(2)}), spaces.Tuple([spaces.Discrete(2)])],
-        ids=["Dict", "Tuple"],
-    )
-    def test_composite_observations_need_a_wrapper(self, space):
-        expected = "Discrete, MultiDiscrete or MultiBinary observation space"
-        with refused(expected, f"but got {space}", "gymnasium.ObservationWrapper"):
-            TabularQ("MlpPolicy", with_spaces(space))
-
-    @pytest.mark.parametrize(
         "space", [spaces.Box(-1.0, 1.0, (1,)), spaces.MultiDiscrete([2, 3]), spaces.MultiBinary(2)], ids=str
     )
     def test_actions_must_be_discrete(self, space):
@@ -118,7 +108,7 @@ class TestNumbers:
         "name", ["learning_rate", "gamma", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps"]
     )
     def test_from_0_to_1(self, name, value):
-        with refused(f"`{name}` must be from 0 to 1", f"but got {value}"):
+        with refused(f"`{name}` must be a number from 0 to 1", f"but got {value}"):
             lake(**{name: value})
 
     @pytest.mark.parametrize("value", [0, 1, 0.0, 1.0])
@@ -131,17 +121,17 @@ class TestNumbers:
     @pytest.mark.parametrize("name", ["total_episodes", "callback_interval"])
     @pytest.mark.parametrize("value", [0, -3])
     def test_at_least_1(self, name, value):
-        with refused(f"`{name}` must be at least 1, or None", f"but got {value}"):
+        with refused(f"`{name}` must be a whole number from 1 to ", "or None", f"but got {value}"):
             lake(**{name: value})
 
     @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
     def test_a_finite_initial_value(self, value):
-        with refused("`initial_q` must be finite", f"but got {value}"):
+        with refused("`initial_q` must be a finite number", f"but got {value}"):
             lake(initial_q=value)
 
     def test_a_schedule_that_begins_out_of_range(self):
         """A learning rate such as "lin_7" in a YAML file becomes a schedule that begins at 7."""
-        with refused("`learning_rate` must be from 0 to 1", "but got 7"):
+        with refused("`learning_rate` must be a number from 0 to 1", "but got 7"):
             lake(learning_rate=lambda left: 7.0 * left)
 
     def test_a_schedule_that_leaves_its_range_on_the_way(self):
@@ -160,7 +150,7 @@ class TestNumbers:
     @pytest.mark.parametrize("log_interval", [0, -1])
     def test_log_interval(self, log_interval):
         model = lake()
-        with refused("`log_interval` must be at least 1, or None", f"but got {log_interval}"):
+        with refused("`log_interval` must be a whole number of at least 1, or None", f"but got {log_interval}"):
             model.learn(10, log_interval=log_interval)
         assert model.num_timesteps == 0
 
@@ -219,7 +209,9 @@ class TestMethods:
         ],
     )
     def test_step_sizes_from_0_to_1(self, make, name, value):
-        with refused(f"`{name}` must be from 0 to 1", f"but got {value}"):
+        if np.isnan(value):
+            name = name.rpartition(" ")[2]  # a sum of what is no number is not formed
+        with refused(f"`{name}` must be a", "number", f"but got {value}"):
             make(value)
 
     @pytest.mark.parametrize("make", [ProportionalRateCallback, SignRateCallback])
@@ -231,7 +223,7 @@ class TestMethods:
     @pytest.mark.parametrize(("number", "name"), [(5, "gain"), (6, "gain"), (7, "step"), (8, "step")])
     def test_what_is_multiplied_or_added_must_be_finite(self, number, name, value):
         """NaN in the rate would soon be NaN in the table."""
-        with refused(f"`{name}` must be finite", f"but got {value}"):
+        with refused(f"`{name}` must be a finite number", f"but got {value}"):
             method(number, **{name: value})
 
     @pytest.mark.parametrize("value", ["Same", "mean", None])

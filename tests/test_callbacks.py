@@ -349,7 +349,7 @@ class TestSettingTheRate:
     @pytest.mark.parametrize("value", [-0.1, 1.5, np.nan, np.inf])
     def test_a_rate_out_of_range_is_refused(self, value):
         model = greedy_on_script(learning_rate=0.5)
-        with pytest.raises(ValueError, match=r"`mu` must be from 0 to 1, but got"):
+        with pytest.raises(ValueError, match=r"`mu` must be a number from 0 to 1, but got"):
             model.mu = value
         assert model.mu == 0.5
 

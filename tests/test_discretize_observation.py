@@ -2,6 +2,11 @@
 
 import itertools
 import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -9,10 +14,18 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env as check_gymnasium_env
-from hypothesis import given
+from helpers import mountain_car  # registers its dynamics  # noqa: F401
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from stable_baselines3.common.env_checker import check_env as check_sb3_env
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv
 
+import sb3_adaptive_q
+import wrappers
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.vec_env.dynamics import Grid, grid_index
+from sb3_adaptive_q.wrappers import edges_of
 from wrappers import DiscretizeObservation
 
 PAPER_HIGH = [2.4, 4.0, 0.2095, 4.0]
@@ -226,6 +239,214 @@ def test_env_can_be_made_again_from_its_spec() -> None:
     np.testing.assert_array_equal(again.edges, wrapper.edges)
 
 
+# Dimensions left out, and edges of one's own
+
+
+def test_dimensions_without_edges_are_left_out() -> None:
+    """The bounds of Cart Pole's space are infinite in the second dimension, which is one that is left out."""
+    wrapper = DiscretizeObservation(gym.make("CartPole-v1"), [0, 0, 5, 11], [None, None, -0.4, -0.9], [9.0, -9.0, 0.4, 0.9])
+    assert wrapper.n_cells == (1, 1, 6, 12)
+    assert wrapper.observation_space == spaces.Discrete(72)
+    assert [len(edges) for edges in wrapper.edges] == [0, 0, 5, 11]
+    for x in (-1e9, 0.0, np.inf):
+        assert wrapper.observation(np.array([x, -x, -0.5, 0.95])) == 11
+    assert wrapper.observation(np.array([0.0, 0.0, 0.4, 0.0])) == 5 * 12 + 6
+    low, high = wrapper.bounds(71)
+    assert low.tolist() == [-np.inf, -np.inf, 0.4, 0.9] and high.tolist() == [np.inf] * 4
+
+
+def test_bounds_of_the_space_do_not_matter_where_a_dimension_is_left_out() -> None:
+    wrapper = DiscretizeObservation(gym.make("CartPole-v1"), [3, 0, 3, 0], multi_discrete=True)
+    assert wrapper.observation_space == spaces.MultiDiscrete([4, 1, 4, 1])
+    assert DiscretizeObservation(gym.make("CartPole-v1"), 0).observation_space == spaces.Discrete(1)
+
+
+@given(values=st.lists(st.floats(-2, 2), min_size=4, max_size=4))
+def test_buckets_of_the_tutorials(values: list[float]) -> None:
+    """The share of the way from low to high decides on the bucket, cut off at both ends."""
+    buckets, bounds = (1, 1, 6, 12), (2.4, 0.5, 0.4, 0.9)
+    expected = []
+    for value, bucket, bound in zip(values, buckets, bounds, strict=True):
+        share = (value + bound) / (2 * bound)
+        assume(abs(share * bucket - round(share * bucket)) > 1e-9)
+        expected.append(min(max(math.floor(share * bucket), 0), bucket - 1))
+    edges = [np.linspace(-bound, bound, bucket + 1)[1:-1] for bucket, bound in zip(buckets, bounds, strict=True)]
+    wrapper = DiscretizeObservation(box((4,)), edges=edges, multi_discrete=True)
+    assert wrapper.observation(np.array(values)).tolist() == expected  # type: ignore[union-attr]
+
+
+uneven_edges = st.lists(
+    st.lists(st.floats(-100, 100), unique=True, max_size=6).map(sorted).map(np.array), min_size=1, max_size=4
+)
+
+
+def draw_observation(data: st.DataObject, edges: list[np.ndarray[Any, Any]]) -> np.ndarray[Any, Any]:
+    return np.array([data.draw(values_on_and_off_edges(one) if len(one) else st.floats(allow_nan=False)) for one in edges])
+
+
+@given(edges=uneven_edges, data=st.data())
+def test_given_edges_are_those_of_numpy_digitize(edges: list[np.ndarray[Any, Any]], data: st.DataObject) -> None:
+    values = draw_observation(data, edges)
+    expected = tuple(int(np.digitize(value, one)) for value, one in zip(values, edges, strict=True))
+    wrapper = DiscretizeObservation(box((len(edges),)), edges=edges)
+    number = wrapper.observation(values)
+    assert wrapper.cells(number) == expected
+    low, high = wrapper.bounds(number)
+    assert np.all(low <= values) and np.all((values < high) | (values == np.inf))
+
+
+@given(edges=uneven_edges, data=st.data())
+def test_compiled_code_finds_the_same_cells(edges: list[np.ndarray[Any, Any]], data: st.DataObject) -> None:
+    """As plain Python: what compiles are numbers and loops."""
+    values = draw_observation(data, edges)
+    wrapper = DiscretizeObservation(box((len(edges),)), edges=edges)
+    assert grid_index(*Grid.of(wrapper), tuple(values.tolist())) == wrapper.observation(values)
+
+
+@pytest.mark.parametrize(
+    "bad", [[1.0, 1.0], [2.0, 1.0], [0.0, np.nan], [-np.inf, 0.0], [[1.0, 2.0]], 3.0, "ab", ["a"], None, [[1.0], [1.0, 2.0]]]
+)
+def test_given_edges_must_increase(bad: Any) -> None:
+    with pytest.raises(ValueError, match=r"finite numbers in strictly increasing order .*got .* for dimension 1"):
+        DiscretizeObservation(box((2,)), edges=[[0.0], bad])
+
+
+@pytest.mark.parametrize("bad", [[], [[0.0]], [[0.0]] * 3, 7, {0.0, 1.0, 2.0}])
+def test_one_array_of_edges_for_each_dimension(bad: Any) -> None:
+    with pytest.raises(ValueError, match=r"one array for each of the 2 dimensions .*shape \(2,\)"):
+        DiscretizeObservation(box((2,)), edges=bad)
+
+
+@pytest.mark.parametrize("other", [{"n_edges": 3}, {"low": 0.0}, {"high": [1.0, 1.0]}, {"n_edges": 10, "low": 0.0}])
+def test_edges_are_given_in_one_way(other: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"and so do {', '.join(other)}: give one or the other"):
+        DiscretizeObservation(box((2,)), edges=[[0.0], [0.0]], **other)
+
+
+def test_given_edges_of_another_do_not_change_with_it() -> None:
+    edges = [np.array([0.0, 1.0])]
+    wrapper = DiscretizeObservation(box((1,)), edges=edges)
+    edges[0][0] = 5.0
+    assert wrapper.edges[0].tolist() == [0.0, 1.0]
+    with pytest.raises(ValueError, match="read-only"):
+        wrapper.edges[0][0] = 5.0
+
+
+# What it says of itself
+
+
+def test_it_says_what_it_does() -> None:
+    wrapper = DiscretizeObservation(gym.make("CartPole-v1"), edges=[[], [0.5], [-1, 0, 2.5], [-1, 0, 2.5]])
+    cells = "32 cells; edges: left out, 0.5, 3 from -1 to 2.5 (2 times)"
+    assert repr(wrapper) == f"<DiscretizeObservation({cells}){wrapper.env}>"
+    outer = gym.wrappers.OrderEnforcing(wrapper)
+    assert repr(outer) == f"<OrderEnforcing{wrapper!r}>"
+
+
+def test_it_says_so_shortly_of_many_dimensions() -> None:
+    n_edges = [2, 3] * 50
+    assert "3 from -1 to 1, 2 from -1 to 1, ...)<" in repr(DiscretizeObservation(box((100,)), n_edges, -1, 1, True))
+    assert "edges: 5 from 0 to 255 (300 times))<" in repr(
+        DiscretizeObservation(BoxEnv(spaces.Box(0, 255, (10, 10, 3), np.uint8)), 5, multi_discrete=True)
+    )
+
+
+ARGUMENTS: list[dict[str, Any]] = [
+    {"n_edges": np.array([3, 4, 5, 6]), "low": np.array(PAPER_LOW), "high": np.array(PAPER_HIGH)},
+    {"n_edges": np.int64(4), "low": np.float32(-1), "high": np.array(2.0), "multi_discrete": np.True_},
+    {"n_edges": [0, 0, 5, 11], "low": [None, None, -0.4, -0.9], "high": [np.nan, None, 0.4, 0.9]},
+    {"edges": [np.array([]), np.array([1.5]), (1, 2), np.linspace(-1, 1, 7)]},
+]
+
+
+@pytest.mark.parametrize("arguments", ARGUMENTS)
+def test_specs_with_numpys_numbers(arguments: dict[str, Any]) -> None:
+    wrapper = DiscretizeObservation(gym.make("CartPole-v1"), **arguments)
+    spec = wrapper.spec
+    assert spec is not None
+    assert spec == DiscretizeObservation(gym.make("CartPole-v1"), **arguments).spec
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
+    assert isinstance(again, DiscretizeObservation)
+    assert again.observation_space == wrapper.observation_space
+    for ours, theirs in zip(again.edges, wrapper.edges, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+# gymnasium's wrapper of the same name
+
+SPACES = {
+    "float32": spaces.Box(np.array([-1.2, -0.07], np.float32), np.array([0.6, 0.07], np.float32)),
+    "float64": spaces.Box(-1.0, 3.0, (2,), np.float64),
+    "bytes": spaces.Box(0, 255, (2,), np.uint8),
+}
+
+
+@pytest.mark.parametrize("name", SPACES)
+@given(bins=st.lists(st.integers(1, 12), min_size=2, max_size=2).map(tuple), data=st.data())
+def test_gymnasiums_wrapper_bins_by_its_edges(name: str, bins: tuple[int, ...], data: st.DataObject) -> None:
+    """On the edges and beside them, on the bounds and beyond them."""
+    space = SPACES[name]
+    theirs = gym.wrappers.DiscretizeObservation(BoxEnv(space), bins)
+    edges = edges_of(theirs)
+    assert [len(one) + 1 for one in edges] == list(bins)
+    with_bounds = [np.array([*one, low, high]) for one, low, high in zip(edges, space.low, space.high, strict=True)]
+    values = [data.draw(values_on_and_off_edges(one)) for one in with_bounds]
+    with np.errstate(over="ignore"):
+        observation = np.clip(values, 0, 255).astype(np.uint8) if name == "bytes" else np.array(values).astype(space.dtype)
+    number = theirs.observation(observation)
+    assert number == DiscretizeObservation(BoxEnv(space), edges=edges).observation(observation)
+    assert number == grid_index(*Grid.of(theirs), tuple(observation.astype(np.float64).tolist()))
+
+
+def test_gymnasiums_wrapper_with_cells_that_it_cannot_reach() -> None:
+    """It cuts observations off 1e-8 below the bound, here far below the last edge."""
+    with pytest.raises(ValueError, match=r"gymnasium\.wrappers\.Disc.* dimension 0 .*sb3_adaptive_q\.wrappers\.Disc"):
+        edges_of(gym.wrappers.DiscretizeObservation(BoxEnv(spaces.Box(0.0, 1e-8, (1,), np.float64)), 4))
+
+
+@pytest.mark.parametrize("vec_env_class", [LeanVecEnv, CompiledVecEnv])
+def test_gymnasiums_wrapper_around_mountain_car(vec_env_class: Any) -> None:
+    """CompiledVecEnv steps its functions beside the environment before it takes them."""
+
+    def make() -> gym.Env[Any, Any]:
+        return Monitor(gym.wrappers.DiscretizeObservation(gym.make("MountainCar-v0"), (7, 9)))
+
+    ours, theirs = vec_env_class([make]), DummyVecEnv([make])
+    assert ours.seed(5) == theirs.seed(5)
+    np.testing.assert_array_equal(ours.reset(), theirs.reset())
+    for step in range(300):
+        for our, their in zip(ours.step(np.array([step % 3]))[:3], theirs.step(np.array([step % 3]))[:3], strict=True):
+            np.testing.assert_array_equal(our, their)
+
+
+# A module of a user's that has the same name
+
+
+def test_modules_of_the_package_import_the_packages_own() -> None:
+    package = Path(sb3_adaptive_q.__file__).parent
+    imports = r"^\s*(from wrappers\b|import wrappers\b)|^\s*- wrappers\."
+    sources = [path for path in package.rglob("*") if path.suffix in (".py", ".yml")]
+    assert len(sources) > 30
+    assert [path.name for path in sources if re.search(imports, path.read_text("utf-8"), re.MULTILINE)] == []
+
+
+def test_a_users_wrappers_module_in_the_working_folder(tmp_path: Path) -> None:
+    (tmp_path / "wrappers.py").write_text("raise RuntimeError('not this one')\n")
+    program = (
+        "import gymnasium as gym, sb3_adaptive_q; from sb3_adaptive_q.wrappers import DiscretizeObservation\n"
+        "wrapper = DiscretizeObservation(gym.make('MountainCar-v0'), 3)\n"
+        "print(type(gym.make(gym.envs.registration.EnvSpec.from_json(wrapper.spec.to_json()))).__module__)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(sb3_adaptive_q.__file__).parent.parent)}
+    command = [sys.executable, "-c", program]
+    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    assert (ran.returncode, ran.stdout.strip()) == (0, "sb3_adaptive_q.wrappers.discretize"), ran.stderr
+
+
+def test_the_public_name_is_the_same_class() -> None:
+    assert wrappers.DiscretizeObservation is sb3_adaptive_q.wrappers.DiscretizeObservation is DiscretizeObservation
+
+
 # Bad input
 
 
@@ -248,9 +469,9 @@ def test_low_must_be_below_high(high: list[float]) -> None:
         DiscretizeObservation(box((2,)), 10, -1.0, high)
 
 
-@pytest.mark.parametrize("n_edges", [1, 0, -3, 2.0, 2.5, True, [5, 1]])
+@pytest.mark.parametrize("n_edges", [1, -3, 2.0, 2.5, True, False, [5, 1], [0, -1]])
 def test_number_of_edges(n_edges: Any) -> None:
-    with pytest.raises(ValueError, match="n_edges must be an integer of at least 2"):
+    with pytest.raises(ValueError, match=r"n_edges must be an integer of at least 2 .*or 0 .*one bucket is n_edges=0"):
         DiscretizeObservation(box((2,)), n_edges, -1.0, 1.0)
 
 
@@ -271,10 +492,22 @@ def test_edges_must_be_distinct_finite_numbers(low: float, high: float) -> None:
         DiscretizeObservation(box((1,)), 10, low, high)
 
 
-@pytest.mark.parametrize("space", [spaces.Discrete(5), spaces.Dict({"x": spaces.Box(0, 1, (2,))})])
-def test_only_box_observations(space: spaces.Space[Any]) -> None:
-    with pytest.raises(ValueError, match=r"needs a Box observation space, got .*FlattenObservation"):
+def test_only_box_observations() -> None:
+    with pytest.raises(ValueError, match=r"needs a Box observation space, but got Dict\(.*FlattenObservation"):
+        DiscretizeObservation(BoxEnv(spaces.Dict({"x": spaces.Box(0, 1, (2,))})))
+
+
+@pytest.mark.parametrize("space", [spaces.Discrete(5), spaces.Tuple([spaces.Discrete(3), spaces.Discrete(2)])])
+def test_finite_observations_need_no_binning(space: spaces.Space[Any]) -> None:
+    with pytest.raises(ValueError, match=r"but got .*needs no binning: TabularQ takes it as it is"):
         DiscretizeObservation(BoxEnv(space))
+
+
+def test_flattened_numbers_need_no_binning() -> None:
+    """Flattening Blackjack makes 45 dimensions of three numbers."""
+    flattened = gym.wrappers.FlattenObservation(gym.make("Blackjack-v1"))
+    with pytest.raises(ValueError, match=r"too many.*take out FlattenObservation.*Tuple\(Discrete\(32\).*as it is"):
+        DiscretizeObservation(flattened, 2)
 
 
 def test_more_cells_than_numbers() -> None:
@@ -291,8 +524,16 @@ def test_nan_names_its_dimension(multi_discrete: bool) -> None:
 
 
 def test_observation_of_another_shape() -> None:
-    with pytest.raises(ValueError, match=r"Expected an observation of shape \(4,\), got shape \(2, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"(?s)expects observations of shape \(4,\), but got .* of shape \(2, 2\) from CartPoleEnv"
+    ):
         paper_wrapper().observation(np.zeros((2, 2)))
+
+
+def test_an_observation_that_is_no_array() -> None:
+    assert paper_wrapper().observation([0.0, 0.0, 0.0, 0.0]) == paper_wrapper().observation(np.zeros(4))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"shape \(4,\), but got array\(None, dtype=object\) of shape \(\)"):
+        paper_wrapper().observation(None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("number", [-1, 14641])

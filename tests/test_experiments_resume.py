@@ -219,6 +219,13 @@ def test_digest_is_of_the_modules_that_a_run_goes_through() -> None:
         assert names <= {*versions.OF_A_RUN, "errors", "versions"}, path
 
 
+def test_digest_looks_at_what_is_executed() -> None:
+    """Other words about a module's functions change no number; another number does."""
+    source = 'def half(x):\n    """Halve."""\n    return x / 2.0  # exact\n'
+    assert versions.code_of(source) == versions.code_of(source.replace("exact", "so it is").replace("Halve.", "Take half."))
+    assert versions.code_of(source) != versions.code_of(source.replace("2.0", "3.0"))
+
+
 def test_full_disk_ends_the_study_with_whole_files_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

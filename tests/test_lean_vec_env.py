@@ -1,6 +1,7 @@
 """LeanVecEnv beside SB3's DummyVecEnv: the same values at every step, and nothing handed out changes afterwards."""
 
-from typing import Any
+import re
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +14,7 @@ from stable_baselines3.common.monitor import Monitor, load_results
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from sb3_adaptive_q import LeanVecEnv
+from sb3_adaptive_q.vec_env.protocol import check_is_single_env, find_fault_of_step
 from wrappers import DiscretizeObservation
 
 DICT_SPACE = spaces.Dict({"place": spaces.Box(-1.0, 1.0, (2, 3)), "number": spaces.Discrete(4), "bits": spaces.MultiBinary(3)})
@@ -230,6 +232,133 @@ class TestWrappers:
                 env.step(np.array([0]))
 
 
+def replace_env(vec_env: VecEnv) -> None:
+    vec_env.envs[0] = Halved(vec_env.envs[0])
+
+
+def replace_all(vec_env: VecEnv) -> None:
+    vec_env.envs = [Monitor(gym.make("Taxi-v4")) for _ in vec_env.envs]
+
+
+def wrap_inside_monitor(vec_env: VecEnv) -> None:
+    """What people do who forgot the limit."""
+    vec_env.envs[0].env = gym.wrappers.TimeLimit(vec_env.envs[0].env, 4)
+
+
+def replace_limit(vec_env: VecEnv) -> None:
+    vec_env.envs[0].env = gym.wrappers.TimeLimit(vec_env.envs[0].env.env, 3)
+
+
+def take_limit_out(vec_env: VecEnv) -> None:
+    vec_env.envs[0].env = vec_env.envs[0].env.env
+
+
+def wrap_innermost(vec_env: VecEnv) -> None:
+    checker = vec_env.envs[0].env.env.env
+    assert isinstance(checker, gym.wrappers.PassiveEnvChecker)
+    checker.env = Halved(checker.env)
+
+
+def another_innermost(vec_env: VecEnv) -> None:
+    vec_env.envs[0].env.env.env.env = gym.make("Taxi-v4", is_rainy=True).unwrapped
+
+
+def patch(env: gym.Env) -> None:
+    """Put a function in the place of ``step`` that gives ten times the reward."""
+    original = env.step
+
+    def step(action):
+        observation, reward, terminated, truncated, info = original(action)
+        return observation, 10.0 * float(reward), terminated, truncated, info
+
+    env.step = step  # type: ignore[method-assign]
+
+
+def patch_and_unpatch(vec_env: VecEnv) -> None:
+    patch(vec_env.envs[0].env)
+    vec_env.step(np.zeros(vec_env.num_envs, int))
+    del vec_env.envs[0].env.step
+
+
+CHANGES = {
+    "another environment": replace_env,
+    "other environments": replace_all,
+    "a wrapper inside the Monitor": wrap_inside_monitor,
+    "another limit": replace_limit,
+    "no limit any more": take_limit_out,
+    "a wrapper innermost": wrap_innermost,
+    "another innermost": another_innermost,
+    "a patched environment": lambda vec_env: patch(vec_env.envs[0].unwrapped),
+    "a patched Monitor": lambda vec_env: patch(vec_env.envs[0]),
+    "a patched limit": lambda vec_env: patch(vec_env.envs[0].env),
+    "patched checks": lambda vec_env: patch(vec_env.envs[0].env.env),
+    "a patch and its end": patch_and_unpatch,
+}
+
+
+class TestChangedAfterwards:
+    """What is in ``envs`` is stepped, as DummyVecEnv does it."""
+
+    @pytest.mark.parametrize("steps_before", [0, 5])
+    @pytest.mark.parametrize("name", CHANGES)
+    def test_it_counts_from_the_next_step_on(self, name, steps_before):
+        ours, theirs = (cls([lambda: Monitor(gym.make("Taxi-v4")) for _ in range(2)]) for cls in (LeanVecEnv, DummyVecEnv))
+        for env in (ours, theirs):
+            env.seed(3)
+            env.reset()
+            for _ in range(steps_before):
+                env.step(np.array([0, 1]))
+            CHANGES[name](env)
+        step_side_by_side(ours, theirs, 201)
+
+    def test_the_observation_of_a_discretisation(self):
+        ours, theirs = (cls([lambda: Monitor(discretised(cart_pole()))]) for cls in (LeanVecEnv, DummyVecEnv))
+        for env in (ours, theirs):
+            env.seed(3)
+            env.reset()
+            env.step(np.array([0]))
+            env.envs[0].env.observation = lambda observation: int(observation[0] > 0.0)
+        step_side_by_side(ours, theirs, 50)
+        assert {int(ours.step(np.array([1]))[0][0]) for _ in range(20)} <= {0, 1}
+
+    def test_a_patch_that_is_there_from_the_start(self):
+        def make():
+            env = Monitor(gym.make("Taxi-v4"))
+            patch(env.env)
+            return env
+
+        step_side_by_side(LeanVecEnv([make]), DummyVecEnv([make]), 201)
+
+    def test_as_long_as_nothing_changes_the_wrappers_are_passed_by(self, monkeypatch):
+        """Otherwise half of the speed would be gone, and no test would tell."""
+        env = LeanVecEnv([lambda: Monitor(gym.make("Taxi-v4"))])
+        env.reset()
+        env.step(np.array([0]))
+        env.step(np.array([0]))
+        for wrapper in (Monitor, gym.wrappers.OrderEnforcing, gym.wrappers.PassiveEnvChecker, type(env.envs[0].env)):
+            monkeypatch.setattr(wrapper, "step", None)
+        for _ in range(20):
+            env.step(np.array([0]))
+
+
+class TestChecksOfGymnasium:
+    @pytest.mark.parametrize("cls", [LeanVecEnv, DummyVecEnv])
+    def test_an_info_that_is_handed_out_twice(self, cls):
+        """Found by comparing the second step with the first."""
+
+        class Reusing(ScriptedEnv):
+            shared: ClassVar[dict[str, Any]] = {"data": [1]}
+
+            def step(self, action):
+                return *super().step(action)[:4], self.shared
+
+        env = cls([lambda: gym.wrappers.PassiveEnvChecker(Reusing([Episode(0, [Step(0.0, 1)] * 9)]))])
+        env.reset()
+        env.step(np.array([0]))
+        with pytest.warns(UserWarning, match="infos returned by `step` and the following `step` share"):
+            env.step(np.array([0]))
+
+
 class TestEndOfAnEpisode:
     @pytest.mark.parametrize("end", ["terminated", "truncated"])
     def test_infos_tell_how_it_ended_and_where(self, end):
@@ -341,3 +470,257 @@ class TestAsAVecEnv:
     def test_helper_environments_keep_the_rules_of_gymnasium(self):
         """What these tests lean on is sound."""
         check_env(ScriptedEnv([Episode(0, [Step(1.0, 1)] * 100)]), warn=False)
+
+
+class Chain(gym.Env):
+    """Five cells in a row; what it returns is what a test tells it to."""
+
+    observation_space: spaces.Space = spaces.Discrete(5)
+    action_space = spaces.Discrete(2)
+
+    def __init__(self, **returned: Any) -> None:
+        self.returned = returned
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self.returned.get("reset", (self.returned.get("first", 0), {}))
+
+    def step(self, action):
+        one_by_one = [self.returned.get(name, sound) for name, sound in SOUND_STEP.items()]
+        return self.returned.get("step", tuple(one_by_one))
+
+
+SOUND_STEP = {"observation": 1, "reward": 0.5, "terminated": False, "truncated": False, "info": {}}
+
+REWARD = "`step` of Chain must return a finite number as the reward, but returned "
+STEP = "`step` of Chain must return (observation, reward, terminated, truncated, info), but returned "
+OBSERVATION = "The observation of Chain must be one of Discrete(5), but is "
+
+FAULTS = [
+    ({"observation": np.array([1])}, OBSERVATION + "array([1]) of shape (1,)"),
+    ({"observation": None}, OBSERVATION + "None"),
+    ({"observation": np.nan}, OBSERVATION + "nan"),
+    ({"observation": 1.5}, OBSERVATION + "1.5"),
+    ({"observation": "a"}, OBSERVATION + "'a'"),
+    ({"observation": (1, 2)}, OBSERVATION + "(1, 2)"),
+    ({"first": np.array([1])}, OBSERVATION + "array([1]) of shape (1,)"),
+    ({"first": None}, OBSERVATION + "None"),
+    ({"first": 0.5}, OBSERVATION + "0.5"),
+    ({"observation": None, "first": None, "terminated": True}, OBSERVATION + "None"),
+    ({"reward": np.array([0.5])}, REWARD + "array([0.5]) of shape (1,)"),
+    ({"reward": [0.5]}, REWARD + "[0.5]"),
+    ({"reward": None}, REWARD + "None"),
+    ({"reward": None, "terminated": True}, REWARD + "None"),
+    ({"reward": "much"}, REWARD + "'much'"),
+    ({"reward": 1j}, REWARD + "1j"),
+    ({"reward": 10**400}, REWARD + "1000"),
+    (
+        {"terminated": np.array([True, False])},
+        "`step` of Chain must return True or False as `terminated`, but returned array(",
+    ),
+    (
+        {"truncated": np.array([0, 1])},
+        "`step` of Chain must return True or False as `truncated`, but returned array([0, 1]) of",
+    ),
+    ({"info": None}, "`step` of Chain must return a dict as the info, but returned None"),
+    ({"info": []}, "`step` of Chain must return a dict as the info, but returned []"),
+    ({"step": (1, 0.5, False, {})}, STEP + "4 values, (1, 0.5, False, {})"),
+    ({"step": (1, 0.5, False, False, {}, None)}, STEP + "6 values"),
+    ({"step": 1}, STEP + "1"),
+    ({"step": None}, STEP + "None"),
+    ({"reset": 0}, "`reset` of Chain must return (observation, info) with a dict as the info, but returned 0"),
+    ({"reset": None}, "`reset` of Chain must return (observation, info) with a dict as the info, but returned None"),
+    ({"reset": (0, 1)}, "`reset` of Chain must return (observation, info) with a dict as the info, but returned (0, 1)"),
+    (
+        {"reset": np.array([0, 1])},
+        "`reset` of Chain must return (observation, info) with a dict as the info, but returned array(",
+    ),
+]
+
+AROUND = {
+    "nothing": lambda env: env,
+    "Monitor": Monitor,
+    "Monitor and limit": lambda env: Monitor(gym.wrappers.TimeLimit(env, 100)),
+}
+
+
+class TestFaults:
+    """An environment that returns what it must not is told so where that enters."""
+
+    @pytest.mark.parametrize("around", AROUND)
+    @pytest.mark.parametrize(("returned", "message"), FAULTS, ids=lambda value: str(value)[:60])
+    def test_the_culprit_is_named(self, returned, message, around):
+        env = LeanVecEnv([lambda: AROUND[around](Chain(**returned))])
+        with pytest.raises(ValueError, match=re.escape(message)):
+            env.reset()
+            env.step(np.array([0]))
+
+    @pytest.mark.parametrize(
+        ("space", "observation", "message"),
+        [
+            (
+                spaces.MultiDiscrete([3, 3]),
+                np.array([0.0, 0.5]),
+                "must be one of MultiDiscrete([3 3]), but is array([0. , 0.5])",
+            ),
+            (
+                spaces.MultiDiscrete([3, 3]),
+                np.array([1]),
+                "must be one of MultiDiscrete([3 3]), but is array([1]) of shape (1,)",
+            ),
+            (spaces.MultiDiscrete([3, 3]), 1, "must be one of MultiDiscrete([3 3]), but is 1"),
+            (spaces.MultiBinary(2), [0.5, 1], "must be one of MultiBinary(2), but is [0.5, 1]"),
+            (spaces.Tuple([spaces.Discrete(3)] * 2), (1, 0.5), "The part [1] of the observation of Chain must be one of Disc"),
+            (spaces.Tuple([spaces.Discrete(3)] * 2), (1,), "The observation of Chain must be one of Tuple("),
+            (
+                spaces.Dict(a=spaces.Discrete(3)),
+                {"a": [1]},
+                "The part ['a'] of the observation of Chain must be one of Discrete(3)",
+            ),
+            (spaces.Dict(a=spaces.Discrete(3)), {"b": 1}, "The observation of Chain must be one of Dict("),
+            (spaces.Dict(a=spaces.Discrete(3)), None, "The observation of Chain must be one of Dict("),
+            (
+                spaces.Dict(a=spaces.Box(0, 1, (2,))),
+                {"a": [1] * 3},
+                "The part ['a'] of the observation of Chain must be one of Box",
+            ),
+        ],
+        ids=str,
+    )
+    def test_observations_of_other_spaces(self, space, observation, message):
+        for name in ("observation", "first"):
+            chain = Chain(**{"first": space.sample(), "observation": space.sample(), name: observation})
+            chain.observation_space = space
+            env = LeanVecEnv([lambda chain=chain: Monitor(chain)])
+            with pytest.raises(ValueError, match=re.escape(message)):
+                env.reset()
+                env.step(np.array([0]))
+
+    @pytest.mark.parametrize("value", [3, 3.0, np.int64(3), np.float32(3), np.array(3), True, np.uint8(3)], ids=repr)
+    def test_whole_numbers_of_any_type_are_taken(self, value):
+        ours, theirs = (cls([lambda: Chain(observation=value)]) for cls in (LeanVecEnv, DummyVecEnv))
+        for env in (ours, theirs):
+            env.reset()
+        assert_same(ours.step(np.array([0]))[0], theirs.step(np.array([0]))[0])
+
+    def test_wrappers_in_between_that_cannot_read_what_it_returns(self):
+        """The error then comes from gymnasium's code, and says nothing of the environment."""
+        env = LeanVecEnv([lambda: Monitor(Halved(Chain(step=(1, 0.5, False, {}))))])
+        env.reset()
+        with pytest.raises(ValueError, match=r"`step` of Chain must return \(observation, reward, .*expected 5, got 4"):
+            env.step(np.array([0]))
+
+        class OldCartPole(type(cart_pole().unwrapped)):
+            def reset(self, **arguments):
+                return super().reset(**arguments)[0]
+
+        env = LeanVecEnv([lambda: discretised(OldCartPole())])
+        with pytest.raises(ValueError, match=r"`reset` of OldCartPole must return \(observation, info\).*expected 2"):
+            env.reset()
+
+    def test_a_reset_without_arguments(self):
+        class Older(Chain):
+            def reset(self):  # type: ignore[override]
+                return 0
+
+        with pytest.raises(ValueError, match=r"`reset` of Older must take the keyword arguments `seed` and `options`"):
+            LeanVecEnv([lambda: Monitor(Older())]).reset()
+
+    @pytest.mark.parametrize(
+        "error", [ValueError("not enough values to unpack"), TypeError("of its own"), OverflowError("large")]
+    )
+    @pytest.mark.parametrize("where", ["reset", "step"])
+    def test_errors_of_the_environment_itself_pass(self, where, error):
+        class Failing(Chain):
+            fails = False
+
+            def step(self, action):
+                if self.fails:
+                    raise error
+                return super().step(action)
+
+            def reset(self, **arguments):
+                if self.fails:
+                    raise error
+                return super().reset(**arguments)
+
+        env = LeanVecEnv([lambda: Monitor(Halved(Failing()))])
+        env.reset()
+        env.envs[0].unwrapped.fails = True
+        with pytest.raises(type(error)) as raised:
+            env.step(np.array([0])) if where == "step" else env.reset()
+        assert raised.value is error
+
+    def test_errors_of_what_the_environment_calls_pass_too(self):
+        """It steps environments of gymnasium's inside its own step, or calls them in a wrong way."""
+
+        class Nested(Chain):
+            def step(self, action):
+                return Halved(Chain(step=(1, 0.5, False, {}))).step(action)
+
+        class Careless(Chain):
+            def step(self, action):
+                return gym.make("Taxi-v4").reset(sead=action)
+
+        for kind, error in ((Nested, ValueError), (Careless, TypeError)):
+            env = LeanVecEnv([lambda kind=kind: Monitor(kind())])
+            env.reset()
+            with pytest.raises(error, match=r"unpack|unexpected keyword argument") as raised:
+                env.step(np.array([0]))
+            assert "must" not in str(raised.value)
+
+    def test_an_error_of_a_reset_is_not_taken_for_one_of_the_step_before(self):
+        class Failing(Chain):
+            def reset(self, **arguments):
+                if arguments:
+                    return super().reset(**arguments)
+                raise ValueError("of its own")
+
+        env = LeanVecEnv([lambda: Failing(step=(1, np.nan, True, False, {}))])
+        env.reset()
+        with pytest.raises(ValueError, match=r"^of its own$"):
+            env.step(np.array([0]))
+
+    def test_nan_in_a_discretised_observation(self):
+        class Blind(type(cart_pole().unwrapped)):
+            def step(self, action):
+                return np.full(4, np.nan), *super().step(action)[1:]
+
+        env = LeanVecEnv([lambda: Monitor(discretised(Blind()))])
+        env.reset()
+        with pytest.raises(ValueError, match=r"observation is NaN in dimension\(s\) 0, 1, 2, 3"):
+            env.step(np.array([0]))
+
+    @pytest.mark.parametrize(("reward", "is_sound"), [(1, True), (np.float32(1), True), (np.nan, False), (np.inf, False)])
+    def test_a_reward_that_is_no_number(self, reward, is_sound):
+        """A learning loop asks for this where a reward is not finite."""
+        fault = find_fault_of_step(Chain(), (1, reward, False, False, {}))
+        assert fault is None if is_sound else str(fault).startswith(REWARD)
+
+
+class TestOneEnvironment:
+    def test_one_is_fine(self):
+        for env in (gym.make("FrozenLake-v1"), LeanVecEnv([Chain]), DummyVecEnv([Chain]), Chain()):
+            check_is_single_env(env)
+
+    def test_gymnasiums_vectors(self):
+        env = gym.make_vec("FrozenLake-v1", num_envs=3)
+        with pytest.raises(
+            ValueError, match=r"got the SyncVectorEnv of gymnasium, which steps 3 .*make_vec_env\(id, n_envs=3"
+        ):
+            check_is_single_env(env)
+
+    def test_several_agents(self):
+        base = type("ParallelEnv", (), {"__module__": "pettingzoo.utils.env", "step": None, "reset": None})
+        with pytest.raises(ValueError, match="environment of one agent, but got Pursuit, a PettingZoo"):
+            check_is_single_env(type("Pursuit", (base,), {})())
+
+    @pytest.mark.parametrize("env", [Chain, lambda: Chain()])
+    def test_what_makes_one(self, env):
+        with pytest.raises(ValueError, match="hand over what it returns when it is called"):
+            check_is_single_env(env)
+
+    @pytest.mark.parametrize("env", [7, None, {}, [Chain()]])
+    def test_none(self, env):
+        with pytest.raises(ValueError, match=r"Expected a gymnasium environment.*but got .*hand over one of these"):
+            check_is_single_env(env)

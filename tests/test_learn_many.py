@@ -88,7 +88,7 @@ class TestWhatIsRefused:
 
     @pytest.mark.parametrize("workers", [0, -1])
     def test_workers(self, workers):
-        with self.refused("workers", "at least 1", str(workers)):
+        with self.refused("workers", "from 1 to 1024", str(workers)):
             learn_many([make_model(LAKE, True)], 100, workers=workers)
 
     def test_nothing_has_changed_then(self):

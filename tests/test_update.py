@@ -90,7 +90,7 @@ class TestRules:
             def rule(mu, step, values):
                 return 0.1
 
-        with pytest.raises(ValueError, match=r"`values` must be finite and a number, but got \[1\]"):
+        with pytest.raises(ValueError, match=r"`values` must be a finite number, but got \[1\]"):
             Listed(mu_0=0.1, values=[1])
 
     @pytest.mark.parametrize("kind", [LeanVecEnv, CompiledVecEnv])

@@ -1,5 +1,5 @@
 """Gymnasium wrappers for tabular learners."""
 
-from wrappers.discretize import DiscretizeObservation
+from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 __all__ = ["DiscretizeObservation"]

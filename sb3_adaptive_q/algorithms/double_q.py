@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.checks import check_choice
 from sb3_adaptive_q.algorithms.td_update import best_for_rule, choose_after, of_table, td_update
 from sb3_adaptive_q.base import TabularAlgorithm
+from sb3_adaptive_q.checks import Check, one_of
 from sb3_adaptive_q.random_numbers import uniform
 
 
@@ -87,9 +87,8 @@ class DoubleQ(TabularAlgorithm):
         self.target = target
         super().__init__(policy, env, *args, **kwargs)
 
-    def _check_arguments(self) -> None:
-        super()._check_arguments()
-        check_choice("target", self.target, UPDATES)
+    def argument_checks(self) -> dict[str, Check]:
+        return super().argument_checks() | {"target": one_of(UPDATES)}
 
     def update_function(self) -> Callable[..., Any]:
         return UPDATES[self.target]

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.checks import check_choice, check_count, check_range
 from sb3_adaptive_q.algorithms.td_update import (
     Transition,
     best_for_rule,
@@ -16,6 +15,7 @@ from sb3_adaptive_q.algorithms.td_update import (
     td_update,
 )
 from sb3_adaptive_q.base import TabularAlgorithm
+from sb3_adaptive_q.checks import Check, check_range, one_of, whole_number
 from sb3_adaptive_q.policies import check_memory
 from sb3_adaptive_q.step_sizes.step import Step
 
@@ -218,10 +218,8 @@ class NStep(TabularAlgorithm):
     def chooses_before_update(self) -> bool:  # type: ignore[override]
         return TARGETS[self.target].chooses_before_update
 
-    def _check_arguments(self) -> None:
-        super()._check_arguments()
-        check_count("n", self.n)
-        check_choice("target", self.target, TARGETS)
+    def argument_checks(self) -> dict[str, Check]:
+        return super().argument_checks() | {"n": whole_number(1), "target": one_of(TARGETS)}
 
     def update_function(self) -> Callable[..., Any]:
         return make_n_step(*TARGETS[self.target])

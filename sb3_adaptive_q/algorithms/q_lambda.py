@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.checks import check_choice
 from sb3_adaptive_q.algorithms.td_update import is_sound, keep_row, kept_value, seen_by_rule, value_for_rule
 from sb3_adaptive_q.algorithms.traces import MARKS, TraceAlgorithm, forget, sweep, visit
+from sb3_adaptive_q.checks import Check, one_of
 
 
 def make_watkins(mark: Callable[..., float], size_of: Callable[..., float]) -> Callable[..., Any]:
@@ -127,9 +127,8 @@ class QLambda(TraceAlgorithm):
     def chooses_before_update(self) -> bool:  # type: ignore[override]
         return self.variant == "watkins"
 
-    def _check_arguments(self) -> None:
-        super()._check_arguments()
-        check_choice("variant", self.variant, VARIANTS)
+    def argument_checks(self) -> dict[str, Check]:
+        return super().argument_checks() | {"variant": one_of(VARIANTS)}
 
     def update_function(self) -> Callable[..., Any]:
         return VARIANTS[self.variant](MARKS[self.trace], self._size_of())

@@ -7,6 +7,7 @@ import numpy as np
 
 from sb3_adaptive_q.algorithms.td_update import is_sound, seen_by_rule, value_for_rule
 from sb3_adaptive_q.algorithms.traces import MARKS, TraceAlgorithm, forget, mix_sizes, size_in_trace, sweep, visit
+from sb3_adaptive_q.checks import FLAG, Check
 
 
 def make_sarsa_lambda(mark: Callable[..., float], size_of: Callable[..., float]) -> Callable[..., Any]:
@@ -103,6 +104,9 @@ class SARSALambda(TraceAlgorithm):
         self.true_online = true_online
         trace = trace or ("dutch" if true_online else "accumulating")
         super().__init__(policy, env, *args, trace_decay=trace_decay, trace=trace, trace_threshold=trace_threshold, **kwargs)
+
+    def argument_checks(self) -> dict[str, Check]:
+        return super().argument_checks() | {"true_online": FLAG}
 
     def _check_arguments(self) -> None:
         super()._check_arguments()

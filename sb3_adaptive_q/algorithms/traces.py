@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.checks import check_choice, check_not_negative, check_range
 from sb3_adaptive_q.base import TabularAlgorithm
-from sb3_adaptive_q.installed_method import check_step_size
+from sb3_adaptive_q.checks import NOT_NEGATIVE, RATE, Check, check_range, one_of
 from sb3_adaptive_q.policies import check_memory
 
 
@@ -187,11 +186,9 @@ class TraceAlgorithm(TabularAlgorithm):
         self.trace_threshold = trace_threshold
         super().__init__(policy, env, *args, **kwargs)
 
-    def _check_arguments(self) -> None:
-        super()._check_arguments()
-        check_step_size("trace_decay", self.trace_decay)
-        check_choice("trace", self.trace, MARKS)
-        check_not_negative("trace_threshold", self.trace_threshold)
+    def argument_checks(self) -> dict[str, Check]:
+        own = {"trace_decay": RATE, "trace": one_of(MARKS), "trace_threshold": NOT_NEGATIVE}
+        return super().argument_checks() | own
 
     def _size_of(self) -> Callable[..., float]:
         """Which step size an eligible pair moves with: its own, where the method has one for each."""

@@ -17,41 +17,6 @@ from sb3_adaptive_q.step_sizes.step import Step
 #: What may be wrong with a transition or with what was computed from it
 SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE, STEP_SIZE_OUT_OF_RANGE, RULE_OUT_OF_RANGE, EXPLORATION_OUT_OF_RANGE = range(6)
 
-#: The scalars of a learner: what a training holds fixed, what every transition moves, and the agent's random counter
-LEARNER = np.dtype(
-    [
-        ("gamma", np.float64), ("exploration_initial", np.float64), ("exploration_final", np.float64),
-        ("exploration_fraction", np.float64), ("mu_0", np.float64), ("total_timesteps", np.int64),
-        ("total_episodes", np.int64), ("next_action", np.int64), ("resets_mu", np.int64), ("holds_mu", np.int64),
-        ("holds_epsilon", np.int64),
-        ("mu", np.float64), ("epsilon", np.float64), ("progress", np.float64), ("num_timesteps", np.int64),
-        ("n_episodes", np.int64), ("n_updates", np.int64), ("mu_sum", np.float64), ("mu_min", np.float64),
-        ("mu_max", np.float64), ("td_error_sum", np.float64), ("n_logged", np.int64), ("refused", np.float64),
-        ("value", np.float64), ("counter", np.uint64),
-    ]
-)  # fmt: skip
-#: An environment: its last transition, and the episode that it is in
-ENV = np.dtype(
-    [
-        ("state", np.int64), ("action", np.int64), ("reward", np.float64), ("next_state", np.int64),
-        ("terminated", np.bool_), ("done", np.bool_), ("start_state", np.int64), ("length", np.int64),
-        ("episode_return", np.float64),
-    ], align=True,
-)  # fmt: skip
-#: A finished episode: sum of rewards, steps, μ and ε in force at its last transition, number of the environment
-EPISODE = np.dtype(
-    [
-        ("episode_return", np.float64), ("length", np.int64), ("mu", np.float64), ("epsilon", np.float64), ("env", np.int64),
-    ]
-)  # fmt: skip
-#: How far a rollout may go, and how far it went
-CONTROL = np.dtype(
-    [
-        ("pending", np.int64), ("max_steps", np.int64), ("max_episodes", np.int64), ("max_episode_steps", np.int64),
-        ("status", np.int64), ("n_steps", np.int64), ("n_ended", np.int64), ("env", np.int64),
-    ]
-)  # fmt: skip
-
 
 class Fixed(NamedTuple):
     """What a training holds fixed; see ``LEARNER``."""
@@ -75,13 +40,41 @@ class Now(NamedTuple):
     mu: float
     epsilon: float
     progress: float
-    num_timesteps: int
     n_episodes: int
     n_updates: int
     mu_sum: float
     mu_min: float
     mu_max: float
     td_error_sum: float
+
+
+def _fields(kind: type) -> list[tuple[str, type]]:
+    """The fields of a named tuple, as those of a record."""
+    return [(name, {float: np.float64, int: np.int64, bool: np.bool_}[of]) for name, of in kind.__annotations__.items()]
+
+
+#: The scalars of a learner: what a training holds fixed, what every transition moves, and the agent's random counter
+LEARNER = np.dtype(
+    [
+        *_fields(Fixed), *_fields(Now), ("num_timesteps", np.int64), ("n_logged", np.int64), ("refused", np.float64),
+        ("value", np.float64), ("counter", np.uint64),
+    ]
+)  # fmt: skip
+#: An environment: its last transition, and the episode that it is in
+ENV = np.dtype([*_fields(Transition), ("length", np.int64), ("episode_return", np.float64)], align=True)
+#: A finished episode: sum of rewards, steps, μ and ε in force at its last transition, number of the environment
+EPISODE = np.dtype(
+    [
+        ("episode_return", np.float64), ("length", np.int64), ("mu", np.float64), ("epsilon", np.float64), ("env", np.int64),
+    ]
+)  # fmt: skip
+#: How far a rollout may go, and how far it went
+CONTROL = np.dtype(
+    [
+        ("pending", np.int64), ("max_steps", np.int64), ("max_episodes", np.int64), ("max_episode_steps", np.int64),
+        ("status", np.int64), ("n_steps", np.int64), ("n_ended", np.int64), ("env", np.int64),
+    ]
+)  # fmt: skip
 
 
 def load_fixed(learner):
@@ -96,25 +89,40 @@ def load_fixed(learner):
 def load_now(learner):
     """The scalars that every transition moves, as values."""
     return Now(
-        learner.mu, learner.epsilon, learner.progress, learner.num_timesteps, learner.n_episodes, learner.n_updates,
-        learner.mu_sum, learner.mu_min, learner.mu_max, learner.td_error_sum,
+        learner.mu, learner.epsilon, learner.progress, learner.n_episodes, learner.n_updates, learner.mu_sum,
+        learner.mu_min, learner.mu_max, learner.td_error_sum,
     )  # fmt: skip
 
 
 def store_now(learner, now):
     """Put back what every transition moves."""
-    learner.mu, learner.epsilon, learner.progress = now.mu, now.epsilon, now.progress
-    learner.num_timesteps, learner.n_episodes, learner.n_updates = now.num_timesteps, now.n_episodes, now.n_updates
-    learner.mu_sum, learner.mu_min, learner.mu_max = now.mu_sum, now.mu_min, now.mu_max
+    learner.mu, learner.epsilon, learner.progress, learner.n_episodes = now.mu, now.epsilon, now.progress, now.n_episodes
+    learner.n_updates, learner.mu_sum, learner.mu_min, learner.mu_max = now.n_updates, now.mu_sum, now.mu_min, now.mu_max
     learner.td_error_sum = now.td_error_sum
 
 
-def count_step(now, n_envs):
-    """The same with one more step of every environment."""
-    return Now(
-        now.mu, now.epsilon, now.progress, now.num_timesteps + n_envs, now.n_episodes, now.n_updates,
-        now.mu_sum, now.mu_min, now.mu_max, now.td_error_sum,
+def load_transition(env):
+    """The last transition of an environment, as values."""
+    return Transition(
+        env.state, env.action, env.reward, env.next_state, env.terminated, env.done, env.start_state
     )  # fmt: skip
+
+
+def store_transition(env, t):
+    """Put back the last transition of an environment."""
+    env.state, env.action, env.reward, env.next_state = t.state, t.action, t.reward, t.next_state
+    env.terminated, env.done, env.start_state = t.terminated, t.done, t.start_state
+
+
+def go_on(t, action):
+    """The transition to come: by this action, from where the environment is now."""
+    return Transition(t.start_state, action, t.reward, t.next_state, t.terminated, t.done, t.start_state)
+
+
+def note_episode(ended, length, episode_return, now, env):
+    """Write a finished episode down."""
+    ended.length, ended.episode_return, ended.env = length, episode_return, env
+    ended.mu, ended.epsilon = now.mu, now.epsilon
 
 
 def at_progress(step, progress):
@@ -136,10 +144,10 @@ def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one
     """
     choose, expect, best, _ = behaviour
 
-    def learn_one(tables, memory, fixed, now, draws, t, env):  # noqa: C901
+    def learn_one(tables, memory, fixed, now, num_timesteps, draws, t, env):  # noqa: C901
         epsilon, progress, n_episodes = now.epsilon, now.progress, now.n_episodes
         if fixed.total_episodes == 0:
-            progress = min(now.num_timesteps / max(fixed.total_timesteps, 1), 1.0)
+            progress = min(num_timesteps / max(fixed.total_timesteps, 1), 1.0)
             if fixed.holds_epsilon == 0:
                 epsilon = explore(fixed, progress)
         rate = epsilon if epsilon >= 0.0 else now.epsilon  # one that is refused below must not enter the tables
@@ -166,8 +174,8 @@ def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one
         if not epsilon >= 0.0:
             status = EXPLORATION_OUT_OF_RANGE
         now = Now(
-            mu, epsilon, progress, now.num_timesteps, n_episodes, now.n_updates + 1, now.mu_sum + step.size,
-            min(now.mu_min, step.size), max(now.mu_max, step.size), now.td_error_sum + abs(step.td_error),
+            mu, epsilon, progress, n_episodes, now.n_updates + 1, now.mu_sum + step.size, min(now.mu_min, step.size),
+            max(now.mu_max, step.size), now.td_error_sum + abs(step.td_error),
         )  # fmt: skip
         return action, status, now, step
 
@@ -199,7 +207,8 @@ def make_update_loop(learn_one, show, chooses_before_update):
         known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
         if chooses_before_update:
             show(tables, next_state, considered[env])
-        action, status, now, step = learn_one(tables, known, load_fixed(learner[0]), before, draws, t, env)
+        fixed, num_timesteps = load_fixed(learner[0]), learner[0].num_timesteps
+        action, status, now, step = learn_one(tables, known, fixed, before, num_timesteps, draws, t, env)
         if status != SOUND:
             refuse(learner[0], status, now, step)
             return -status
@@ -209,6 +218,28 @@ def make_update_loop(learn_one, show, chooses_before_update):
         return action
 
     return update_loop
+
+
+def make_env_step(reset, step, index):
+    """
+    :param reset: the environment's, as are ``step`` and ``index``
+    :param step: see :class:`sb3_adaptive_q.vec_env.Dynamics`
+    :param index: see there
+    :return: a function that makes the transition which state and action of ``t`` begin, and resets where the episode ends
+    """
+
+    def env_step(parameters, place, generator, t, length, episode_return, limit):
+        place, reward, terminated = step(parameters, place, t.action, generator)
+        next_state = start_state = index(parameters, place)
+        length, episode_return = length + 1, episode_return + reward
+        done = terminated or length >= limit
+        if done:
+            place = reset(parameters, place, generator)
+            start_state = index(parameters, place)
+        reward = np.float64(np.float32(reward))  # as a VecEnv hands it on
+        return place, Transition(t.state, t.action, reward, next_state, terminated, done, start_state), length, episode_return
+
+    return env_step
 
 
 def make_single_loop(learn_one, reset, step, index, load_state, store_state, name_parameters, check):
@@ -225,61 +256,44 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
     :param check: what is wrong with a transition
     :return: the loop; it begins by learning from the transition that is pending, if there is one
     """
+    env_step = make_env_step(reset, step, index)
 
     def single_loop(tables, memory, learner, draws, envs, dynamics, control, record):
         known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
-        fixed, now = load_fixed(learner[0]), load_now(learner[0])
-        states, generators, parameters = dynamics[0], dynamics[1], name_parameters(*dynamics[2])
-        generator = generators[0]
-        place = load_state(states, 0)
-        env = envs[0]
-        state, action, length, episode_return = env.state, env.action, env.length, env.episode_return
-        reward, next_state, start_state = env.reward, env.next_state, env.start_state
-        terminated, done = env.terminated, env.done
+        fixed, now, num_timesteps = load_fixed(learner[0]), load_now(learner[0]), learner[0].num_timesteps
+        generator, parameters = dynamics[1][0], name_parameters(*dynamics[2])
+        place, env, (episodes, dones) = load_state(dynamics[0], 0), envs[0], record
+        t, length, episode_return = load_transition(env), env.length, env.episode_return
         limit, max_steps, max_episodes = control[0].max_episode_steps, control[0].max_steps, control[0].max_episodes
-        episodes, dones = record
         pending, status, n_steps, n_ended, n_states = control[0].pending != 0, SOUND, 0, 0, tables[0].shape[0]
         while True:
             if pending:
-                t = Transition(state, action, reward, next_state, terminated, done, start_state)
-                next_action, status, later, update = learn_one(tables, known, fixed, now, draws, t, 0)
+                action, status, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, 0)
                 if status != SOUND:
                     refuse(learner[0], status, later, update)
                     break
-                action, now, state = next_action, later, start_state
+                now, t = later, go_on(t, action)
             pending = False
             if max_steps <= 0 or max_episodes <= 0:
                 break
-            place, reward, terminated = step(parameters, place, action, generator)
-            next_state = start_state = index(parameters, place)
-            length += 1
-            episode_return += reward
-            reward = np.float64(np.float32(reward))  # as a VecEnv hands it on
-            done = terminated or length >= limit
-            if done:
-                place = reset(parameters, place, generator)
-                start_state = index(parameters, place)
+            place, t, length, episode_return = env_step(parameters, place, generator, t, length, episode_return, limit)
+            if t.done:
                 dones[n_steps, 0] = True
-                ended = episodes[n_ended]
-                ended.episode_return, ended.length, ended.env = episode_return, length, 0
-                ended.mu, ended.epsilon = now.mu, now.epsilon
-                length, episode_return = 0, 0.0
-                n_ended += 1
-            now = count_step(now, 1)
-            n_steps += 1
-            status = check(next_state, start_state, reward, n_states)
+                note_episode(episodes[n_ended], length, episode_return, now, 0)
+                length, episode_return, n_ended = 0, 0.0, n_ended + 1
+            num_timesteps, n_steps = num_timesteps + 1, n_steps + 1
+            status = check(t.next_state, t.start_state, t.reward, n_states)
             if status != SOUND:
                 break
             pending = True
             if n_steps >= max_steps or n_ended >= max_episodes:
                 break
-        env.state, env.action, env.length, env.episode_return = state, action, length, episode_return
-        env.reward, env.next_state, env.start_state = reward, next_state, start_state
-        env.terminated, env.done = terminated, done
-        store_state(states, 0, place)
+        store_transition(env, t)
+        env.length, env.episode_return = length, episode_return
+        store_state(dynamics[0], 0, place)
         store_now(learner[0], now)
-        control[0].status, control[0].n_steps, control[0].n_ended, control[0].env = status, n_steps, n_ended, 0
-        control[0].pending = 1 if pending else 0
+        learner[0].num_timesteps = num_timesteps
+        store_control(control[0], pending, status, n_steps, n_ended, 0)
 
     return single_loop
 
@@ -292,69 +306,63 @@ def make_several_loop(  # noqa: C901  # one function of machine code
 
     :return: the loop; it begins by learning from the transitions that are pending, if there are any
     """
+    env_step = make_env_step(reset, step, index)
 
     def several_loop(tables, memory, learner, draws, envs, dynamics, control, record):  # noqa: C901
         known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
-        fixed, now = load_fixed(learner[0]), load_now(learner[0])
-        states, generators, parameters = dynamics[0], dynamics[1], name_parameters(*dynamics[2])
+        fixed, now, num_timesteps = load_fixed(learner[0]), load_now(learner[0]), learner[0].num_timesteps
+        states, generators, parameters, (episodes, dones) = dynamics[0], dynamics[1], name_parameters(*dynamics[2]), record
         limit, max_steps, max_episodes = control[0].max_episode_steps, control[0].max_steps, control[0].max_episodes
-        episodes, dones = record
         pending, status, n_steps, n_ended, n_states = control[0].pending != 0, SOUND, 0, 0, tables[0].shape[0]
-        n_envs, culprit = len(envs), 0
+        culprit = 0
         while True:
             if pending:
-                for i in range(n_envs):
-                    env = envs[i]
-                    t = Transition(
-                        env.state, env.action, env.reward, env.next_state, env.terminated, env.done, env.start_state
-                    )
-                    next_action, status, later, update = learn_one(tables, known, fixed, now, draws, t, i)
+                for i in range(len(envs)):
+                    t = load_transition(envs[i])
+                    action, status, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, i)
                     if status != SOUND:
                         refuse(learner[0], status, later, update)
                         culprit = i
                         break
                     now = later
-                    env.action, env.state = next_action, env.start_state
+                    store_transition(envs[i], go_on(t, action))
             if status != SOUND:
                 break
             pending = False
             if max_steps <= 0 or max_episodes <= 0:
                 break
-            for i in range(n_envs):
-                env = envs[i]
-                place, reward, terminated = step(parameters, load_state(states, i), env.action, generators[i])
-                next_state = start_state = index(parameters, place)
-                env.length += 1
-                env.episode_return += reward
-                reward = np.float64(np.float32(reward))
-                done = terminated or env.length >= limit
-                if done:
-                    place = reset(parameters, place, generators[i])
-                    start_state = index(parameters, place)
+            for i in range(len(envs)):
+                env, place, t = envs[i], load_state(states, i), load_transition(envs[i])
+                place, t, length, episode_return = env_step(
+                    parameters, place, generators[i], t, env.length, env.episode_return, limit
+                )  # fmt: skip
+                if t.done:
                     dones[n_steps, i] = True
-                    ended = episodes[n_ended]
-                    ended.episode_return, ended.length, ended.env = env.episode_return, env.length, i
-                    ended.mu, ended.epsilon = now.mu, now.epsilon
-                    env.length, env.episode_return = 0, 0.0
-                    n_ended += 1
+                    note_episode(episodes[n_ended], length, episode_return, now, i)
+                    length, episode_return, n_ended = 0, 0.0, n_ended + 1
+                store_transition(env, t)
+                env.length, env.episode_return = length, episode_return
                 store_state(states, i, place)
-                env.reward, env.next_state, env.start_state = reward, next_state, start_state
-                env.terminated, env.done = terminated, done
-                found = check(next_state, start_state, reward, n_states)
+                found = check(t.next_state, t.start_state, t.reward, n_states)
                 if found != SOUND:
                     status, culprit = found, i
-            now = count_step(now, n_envs)
-            n_steps += 1
+            num_timesteps, n_steps = num_timesteps + len(envs), n_steps + 1
             if status != SOUND:
                 break
             pending = True
             if n_steps >= max_steps or n_ended >= max_episodes:
                 break
         store_now(learner[0], now)
-        control[0].status, control[0].n_steps, control[0].n_ended, control[0].env = status, n_steps, n_ended, culprit
-        control[0].pending = 1 if pending else 0
+        learner[0].num_timesteps = num_timesteps
+        store_control(control[0], pending, status, n_steps, n_ended, culprit)
 
     return several_loop
+
+
+def store_control(control, pending, status, n_steps, n_ended, env):
+    """Write down how far a rollout went."""
+    control.status, control.n_steps, control.n_ended, control.env = status, n_steps, n_ended, env
+    control.pending = 1 if pending else 0
 
 
 def check_transition(next_state, start_state, reward, n_states):

@@ -5,12 +5,13 @@ import itertools
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
+from sb3_adaptive_q.checks import STUDY, Check
 from sb3_adaptive_q.experiments.cells import Cell
 from sb3_adaptive_q.experiments.environments import reused_vec_env
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
@@ -70,8 +71,7 @@ class Design:
     def __post_init__(self) -> None:
         for name in ("environments", "methods", "algorithms"):
             check_selection(name, getattr(self, name))
-        check_least("runs", self.runs, 1)
-        check_least("seed", self.seed, 0)
+        check_options(self, STUDY)
         if self.steps is None and "total_episodes" not in self.settings:
             raise DesignError("A run needs an end: give `steps`, or `total_episodes` among the settings.")
         _check_no_run_twice(self.variants())
@@ -194,15 +194,19 @@ def check_selection(name: str, values: Sequence[Any]) -> None:
         raise DesignError(f"{name} must not repeat an entry, but has {repeated[0]} twice.")
 
 
-def check_least(name: str, value: int, least: int) -> None:
+def check_options(options: Any, checks: Mapping[str, Check]) -> None:
     """
-    :param name: what the value is
-    :param value: a whole number
-    :param least: the least that it may be
-    :raises DesignError: if it is less
+    Check the fields of a dataclass, and make plain types of them.
+
+    :param options: an instance
+    :param checks: what a field has to be, by its name
+    :raises DesignError: if one is something else
     """
-    if value < least:
-        raise DesignError(f"{name} must be at least {least}, but is {value}.")
+    for name in (each.name for each in fields(options) if each.name in checks):
+        try:
+            object.__setattr__(options, name, checks[name].apply(name, getattr(options, name)))  # it is frozen for its users
+        except ValueError as error:
+            raise DesignError(str(error)) from error
 
 
 def check_environments(names: Sequence[str]) -> None:

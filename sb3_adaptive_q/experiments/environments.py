@@ -12,7 +12,7 @@ from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv
 from sb3_adaptive_q.envs.catalogue import PROBLEMS
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
 from sb3_adaptive_q.experiments.names import IMPORT_PATH, is_import_path, load_object
-from wrappers import DiscretizeObservation
+from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 #: The bins of the paper's Table 5, for every Cart Pole
 CART_POLE_BINS = {"n_edges": 10, "low": [-2.4, -4.0, -0.2095, -4.0], "high": [2.4, 4.0, 0.2095, 4.0]}

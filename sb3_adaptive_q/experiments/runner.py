@@ -15,8 +15,10 @@ from joblib import Parallel, cpu_count, delayed, parallel_config
 from joblib.parallel import get_active_backend
 from tqdm import tqdm
 
+from sb3_adaptive_q.checks import EXECUTION
 from sb3_adaptive_q.experiments.cells import Cell, Outcome, run_cell
-from sb3_adaptive_q.experiments.errors import DesignError, ExperimentError
+from sb3_adaptive_q.experiments.design import check_options
+from sb3_adaptive_q.experiments.errors import ExperimentError
 from sb3_adaptive_q.experiments.storage import ResultFolder
 from sb3_adaptive_q.experiments.versions import everything_of
 
@@ -47,8 +49,7 @@ class Execution:
     progress: bool = True
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise DesignError(f"workers must be a whole number of at least 1, but is {self.workers}.")
+        check_options(self, EXECUTION)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from sb3_adaptive_q.plots.grid_maps import find_map, taxi_layer
 from sb3_adaptive_q.plots.map_drawing import MapDrawing, map_size
 from sb3_adaptive_q.plots.sources import read_table
 from sb3_adaptive_q.plots.style import STYLE, PlotFigure
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 
 #: Seconds for which the last picture stays
 _LAST = 1.5
@@ -109,7 +109,7 @@ class _MapRenderer:
     def __init__(self, model: Any, env: gym.Env[Any, Any]) -> None:
         self.table = read_table(model)
         self.env = env
-        self.index = StateIndex(env.observation_space)
+        self.index = make_state_index(env.observation_space)
         self.drawings: dict[str, MapDrawing] = {}
         self.drawing: MapDrawing | None = None
 
@@ -119,7 +119,7 @@ class _MapRenderer:
         :param caption: what to write above the map
         :return: the picture, of shape (height, width, 3)
         """
-        state = self.index.of(np.asarray(observation).tolist())
+        state = self.index.of(observation)
         with rc_context(STYLE):
             self._turn_to(state)
             drawing = self.drawing

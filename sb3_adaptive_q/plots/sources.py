@@ -6,8 +6,8 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_adaptive_q.state_index import StateIndex
-from wrappers import DiscretizeObservation
+from sb3_adaptive_q.state_index import make_state_index
+from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 _MEMORY = "memory:"
 
@@ -116,7 +116,7 @@ def find_components(model: Any, env: gym.Env[Any, Any] | None, n_states: int) ->
         return Components(discretizer.n_cells, (0,) * len(discretizer.n_cells), discretizer.edges)
     space = getattr(model, "observation_space", None) or (None if env is None else env.observation_space)
     if space is not None:
-        index = StateIndex(space)
+        index = make_state_index(space)
         if index.n_states == n_states:
             return Components(index.sizes, index.starts, None)
     return Components((n_states,), (0,), None)

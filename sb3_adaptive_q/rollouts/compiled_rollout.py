@@ -63,6 +63,7 @@ class CompiledRollout(StepRollout):
         loop = make_loop(self.choices.learn_one(), *self.dynamics.loop_functions())
         record = (np.zeros(0, loops.EPISODE), np.zeros((0, len(self.envs)), dtype=bool))
         try:
+            self._check_own_functions()
             self._loop = machine_code(loop, self._arguments(record))
         except CannotCompile as error:
             raise ValueError(
@@ -230,7 +231,7 @@ class CompiledRollout(StepRollout):
         for i, done in enumerate(self.dones):
             info: dict[str, Any] = {"TimeLimit.truncated": done and not bool(self.envs[i]["terminated"])}
             if done:
-                info["terminal_observation"] = self.state_index.observations(self.envs["next_state"][i : i + 1])[0]
+                info["terminal_observation"] = self.state_index.observation(int(self.envs["next_state"][i]))
             infos.append(info)
         # The last step's episodes are the last on the record
         for i, episode in self._episode_infos(self.n_ended - sum(self.dones), self.n_ended):

@@ -52,10 +52,9 @@ class StepRollout:
         self.n_envs = self.env.num_envs
         self.learner, self.draws = model.training.record, model.training.draws
         self.state_index = model.policy.state_index
-        self._state_of = self.state_index.of
         self.considered = model.considered
         self.first_action = int(model.action_space.start)
-        self.states = [self._state_of(observation) for observation in np.asarray(model._last_obs).tolist()]
+        self.states = self.state_index.of_vec(model._last_obs)
         self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
         self.transitions: list[tuple[float, int, bool, bool, int]] = []
         self.take_choices()
@@ -75,15 +74,33 @@ class StepRollout:
     def _compile(self) -> None:
         function = self.choices.update_loop()
         try:
+            self._check_own_functions()
             arguments = (self.tables, self.memory, self.learner, self.draws, _EXAMPLE, 0, self.considered)
             self._update = self._in_python(function) if is_disabled() else machine_code(function, arguments)
         except CannotCompile as error:
             warnings.warn(f"{self.model.own_functions()} runs as Python, which is slower: {error}.", stacklevel=5)
             self._update = self._in_python(function)
 
+    def _check_own_functions(self) -> None:
+        if self.model._method is not None and not is_disabled():
+            self.model._method.check_functions()
+
     def _in_python(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The update as Python runs it. What a rule raises leaves the table as it was, as far as one entry is changed."""
         self.learner = self.learner.view(np.recarray)  # whose fields Python reads by their names, as machine code does
-        return as_python(function)
+        run, table = as_python(function), self.tables[0]
+
+        def update(tables: Any, memory: Any, learner: Any, draws: Any, transition: Any, env: int, considered: Any) -> int:
+            entry = transition[:2]
+            value = table[entry]
+            try:
+                return run(tables, memory, learner, draws, transition, env, considered)
+            except BaseException:
+                if self.model.updates_one_entry:
+                    table[entry] = value
+                raise
+
+        return update
 
     def advance(self) -> None:
         """
@@ -98,7 +115,7 @@ class StepRollout:
         new_obs, rewards, dones, infos = self.env.step(actions)
         self.model.num_timesteps += self.n_envs
         self.infos, self.dones = infos, dones.tolist()
-        self.transitions = self._transitions(new_obs.tolist(), rewards.tolist())  # type: ignore[union-attr]
+        self.transitions = self._transitions(self.state_index.of_vec(new_obs), rewards.tolist())
         if self.model.use_masking:
             self._note_masks(self.model.policy.allowed.numpy())
         if True in self.dones:
@@ -215,18 +232,17 @@ class StepRollout:
             return episode["r"], episode["l"]
         return round(self.episode_returns[i], 6), self.episode_lengths[i]
 
-    def _transitions(self, observations: list[Any], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
+    def _transitions(self, states: list[int], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
         """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
         transitions = []
         for i, done in enumerate(self.dones):
             reward = rewards[i]
             if not isfinite(reward):
                 self.refuse_reward(i, reward)
-            state = self._state_of(observations[i])
+            state = states[i]
             next_state, terminated = state, done
             if done:
-                reached = np.asarray(self.infos[i]["terminal_observation"]).tolist()
-                next_state = self._state_of(reached)
+                next_state = self.state_index.of(self.infos[i]["terminal_observation"])
                 terminated = not self.infos[i].get("TimeLimit.truncated", False)
             self.episode_returns[i] += reward
             self.episode_lengths[i] += 1

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sb3_adaptive_q.random_numbers import read_pcg64
-from sb3_adaptive_q.state_index import StateIndex
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.vec_env.compiled_env import CompiledEnv
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, playable_states
 
@@ -65,7 +65,7 @@ class _SideBySide:
         self.dynamics.env = self.env
         discretizer = compiled.layers.discretizer
         self.observe = discretizer.observation if discretizer else _as_it_is
-        self.state_index = StateIndex((discretizer or self.env).observation_space)
+        self.state_index = make_state_index((discretizer or self.env).observation_space)
         self.env.reset(seed=0)
         self.generator: Any = copy.deepcopy(self.env.np_random)
         if self.dynamics.draws_from_words:
@@ -98,7 +98,7 @@ class _SideBySide:
 
     def _theirs(self, observation: Any) -> dict[str, Any]:
         observation = self.observe(observation)
-        index = self.state_index.of(observation.tolist() if isinstance(observation, np.ndarray) else observation)
+        index = self.state_index.of(observation)
         return {"state": self.dynamics.read_state(), "row of the table": index}
 
     def _ours(self) -> dict[str, Any]:

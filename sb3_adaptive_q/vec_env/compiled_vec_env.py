@@ -27,15 +27,15 @@ class CompiledVecEnv(LeanVecEnv):
 
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         super().__init__(env_fns)
-        for each in self.compile():
-            compare_with_environment(each)
+        self._compared: list[gym.Env] = []
+        self.compile()
 
     def compile(self) -> list[CompiledEnv]:
         """
-        Read the environments as they are now.
+        Read the environments as they are now, and compare those that are new with the functions that stand for them.
 
         :return: what a learning loop needs of each
-        :raises ValueError: if one does not compile, or they differ
+        :raises ValueError: if one does not compile, they differ, or one steps otherwise than its functions
         """
         compiled = [CompiledEnv(env) for env in self.envs]
         for i, each in enumerate(compiled[1:], 1):
@@ -44,4 +44,8 @@ class CompiledVecEnv(LeanVecEnv):
                     f"CompiledVecEnv needs environments that are alike, but environment {i} differs from the first: "
                     "use LeanVecEnv, which works with everything."
                 )
+        for each in compiled:
+            if not any(each.unwrapped is env for env in self._compared):
+                compare_with_environment(each)
+        self._compared = [each.unwrapped for each in compiled]
         return compiled

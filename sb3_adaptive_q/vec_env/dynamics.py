@@ -9,7 +9,7 @@ import numpy as np
 
 from sb3_adaptive_q.compiled.loops import check_transition
 from sb3_adaptive_q.compiled.places import empty_places, place_functions
-from wrappers import DiscretizeObservation
+from sb3_adaptive_q.wrappers import edges_of
 
 DynamicsT = TypeVar("DynamicsT", bound="type[Dynamics]")
 
@@ -155,16 +155,21 @@ class Grid(NamedTuple):
     scales: np.ndarray
 
     @classmethod
-    def of(cls, discretizer: DiscretizeObservation) -> "Grid":
+    def of(cls, discretizer: Any) -> "Grid":
         """
-        :param discretizer: the wrapper
+        :param discretizer: the wrapper, ours or gymnasium's of the same name
         :return: its cells
         """
-        counts = np.array([len(edges) for edges in discretizer.edges])
-        edges = np.full((len(counts), counts.max()), np.inf)
-        for row, values in zip(edges, discretizer.edges, strict=True):
-            row[: len(values)] = values
-        scales = np.array([(len(values) - 1) / (values[-1] - values[0]) for values in discretizer.edges])
+        edges_of_dimensions = edges_of(discretizer)
+        counts = np.array([len(edges) for edges in edges_of_dimensions])
+        edges = np.full((len(counts), max(1, counts.max())), np.inf)
+        scales = np.ones(len(counts))
+        for dimension, values in enumerate(edges_of_dimensions):
+            edges[dimension, : len(values)] = values
+            if len(values) == 0:
+                edges[dimension, 0] = 0.0  # any finite number: there is one cell
+            elif len(values) > 1:
+                scales[dimension] = (len(values) - 1) / (values[-1] - values[0])
         return cls(edges, counts, scales)
 
 

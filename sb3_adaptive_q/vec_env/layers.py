@@ -1,16 +1,22 @@
 """The layers of wrappers around an environment, and a step that goes through them at once."""
 
 from collections.abc import Callable
+from math import inf
 from typing import Any, NamedTuple
 
 import gymnasium as gym
+from gymnasium.wrappers import DiscretizeObservation as GymnasiumDiscretizeObservation
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from gymnasium.wrappers.common import TimeLimit
 from stable_baselines3.common.monitor import Monitor
 
-from wrappers import DiscretizeObservation
+from sb3_adaptive_q.vec_env.protocol import CONVERSION_ERRORS, find_fault_of_step, raise_fault
+from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 Step = tuple[Any, Any, bool, bool, dict[str, Any]]
+
+#: gymnasium's checks look at two steps: the second is compared with the first
+CHECKED_STEPS = 2
 
 
 class Layers(NamedTuple):
@@ -18,14 +24,15 @@ class Layers(NamedTuple):
     The outermost wrappers of an environment, as far as they are of the kinds named here and in this order.
 
     :param monitor: SB3's Monitor
-    :param discretizer: the discretisation of the observation, around the Monitor or inside it
+    :param discretizer: the discretisation of the observation, ours or gymnasium's, around the Monitor or inside it;
+        :func:`sb3_adaptive_q.wrappers.edges_of` tells its cells
     :param limit: the time limit
     :param checked: the environment with gymnasium's own checks around it
     :param inner: what is inside all of these: the environment itself, or a wrapper of another kind
     """
 
     monitor: Monitor | None
-    discretizer: DiscretizeObservation | None
+    discretizer: DiscretizeObservation | GymnasiumDiscretizeObservation[Any, Any, Any] | None
     limit: Any  # TimeLimit | None, but gymnasium types its counter of steps as None
     checked: gym.Env
     inner: gym.Env
@@ -42,63 +49,99 @@ def peel(env: gym.Env) -> Layers:
             found[kind] = env
             env = env.env  # type: ignore[attr-defined]
     checked = env
-    while type(env) in (OrderEnforcing, PassiveEnvChecker):
+    while type(env) in (OrderEnforcing, PassiveEnvChecker) and not is_patched(env):
         env = env.env  # type: ignore[attr-defined]
     return Layers(found[Monitor], found[DiscretizeObservation], found[TimeLimit], checked, env)
+
+
+def is_patched(env: gym.Env) -> bool:
+    """
+    :param env: an environment or a wrapper
+    :return: whether functions of its own have been put in the place of its class's
+    """
+    return not {"step", "reset", "observation"}.isdisjoint(vars(env))
 
 
 def _is_exactly(env: gym.Env, kind: type) -> bool:
     """Whether it is a wrapper of that class: a subclass may step differently."""
     if kind is TimeLimit:  # rl_zoo3 puts a class of its own in the place of gymnasium's, which ends the same steps
         name = f"{type(env).__module__}.{type(env).__qualname__}"
-        return name in ("gymnasium.wrappers.common.TimeLimit", "rl_zoo3.gym_patches.PatchedTimeLimit")
-    return type(env) is kind
+        is_kind = name in ("gymnasium.wrappers.common.TimeLimit", "rl_zoo3.gym_patches.PatchedTimeLimit")
+    elif kind is DiscretizeObservation:
+        is_kind = type(env) in (DiscretizeObservation, GymnasiumDiscretizeObservation)
+    else:
+        is_kind = type(env) is kind
+    return is_kind and not is_patched(env)
 
 
-def layered_step(env: gym.Env) -> Callable[[Any], Step]:
+def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
     """
     What ``env.step`` does, in one call instead of one for each wrapper; they are left as they would be.
 
-    gymnasium's checks look at the first step alone, so later steps pass them by. A Monitor is given the last step of an
+    gymnasium's checks look at the first steps alone, so later steps pass them by. A Monitor is given the last step of an
     episode to do its work there, and until then its rewards.
 
     :param env: the environment with its wrappers
-    :return: a function of the action that returns what ``env.step`` returns
+    :return: a function of the environment that is to be stepped and the action. It returns what ``env.step`` returns; or
+        ``None``, and steps nothing, if that is another environment by now: replaced, or with another wrapper inside it, or
+        with a function in the place of the ``step`` of a wrapper. Then another function is needed
     """
     monitor, discretizer, limit, checked, inner = peel(env)
-    inner_step, checked_step = inner.step, checked.step
-    observe = discretizer.observation if discretizer is not None else None
-    was_checked = False
+    outermost, around, checks_left = env, _attributes_around(inner, env), CHECKED_STEPS
+    # To ask a wrapper itself for an attribute takes several times as long, because it has a `__getattr__`
+    of_limit = vars(limit) if limit else {"_elapsed_steps": 0, "_max_episode_steps": inf}
+    of_monitor = vars(monitor) if monitor else {}
 
-    def step(action: Any) -> Step:
-        nonlocal was_checked
-        if was_checked:
-            observation, reward, terminated, truncated, info = inner_step(action)
+    def step(env: gym.Env, action: Any) -> Step | None:
+        nonlocal checks_left
+        if env is not outermost:
+            return None
+        for attributes, below in around:
+            if attributes["env"] is not below or "step" in attributes:
+                return None
+        if checks_left:
+            outcome = checked.step(action)
+            checks_left -= 1
         else:
-            observation, reward, terminated, truncated, info = checked_step(action)
-            was_checked = True
-        if limit is not None:
-            limit._elapsed_steps = elapsed_steps = limit._elapsed_steps + 1
-            truncated = truncated or elapsed_steps >= limit._max_episode_steps
-        if observe is not None:
-            observation = observe(observation)
-        if monitor is not None:
-            if terminated or truncated or monitor.needs_reset:
+            outcome = inner.step(action)
+        try:
+            observation, reward, terminated, truncated, info = outcome
+            of_limit["_elapsed_steps"] = elapsed_steps = of_limit["_elapsed_steps"] + 1
+            truncated = truncated or elapsed_steps >= of_limit["_max_episode_steps"]
+            if discretizer is not None:
+                observation = discretizer.observation(observation)
+            if monitor is None:
+                float(reward)  # NumPy would make a NaN of None
+            elif terminated or truncated or of_monitor["needs_reset"]:
                 return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
-            monitor.rewards.append(float(reward))
-            monitor.total_steps += 1
+            else:
+                of_monitor["rewards"].append(float(reward))
+                of_monitor["total_steps"] += 1
+        except CONVERSION_ERRORS as error:
+            raise_fault(find_fault_of_step(inner, outcome), error)
+            raise
         return observation, reward, terminated, truncated, info
 
     return step
 
 
+def _attributes_around(inner: gym.Env, env: Any) -> list[tuple[dict[str, Any], gym.Env]]:
+    """The attributes of each wrapper outside ``inner``, and what it is around."""
+    found = []
+    while env is not inner:
+        found.append((vars(env), env.env))
+        env = env.env
+    return found
+
+
 def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
-    env = monitor.env
-    monitor.env = _Outcome(outcome)  # type: ignore[assignment]
+    attributes = vars(monitor)
+    env = attributes["env"]
+    attributes["env"] = _Outcome(outcome)
     try:
         return monitor.step(action)
     finally:
-        monitor.env = env
+        attributes["env"] = env
 
 
 class _Outcome:

@@ -1,15 +1,32 @@
 """SB3's DummyVecEnv without its deep copies."""
 
+from collections import OrderedDict
 from collections.abc import Callable
 from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from stable_baselines3.common.vec_env import DummyVecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env.util import dict_to_obs
 
 from sb3_adaptive_q.vec_env.layers import layered_step
+from sb3_adaptive_q.vec_env.protocol import (
+    CONVERSION_ERRORS,
+    explain_reset,
+    find_fault_of_call,
+    find_fault_of_observation,
+    find_fault_of_step,
+    is_whole,
+    raise_fault,
+)
+
+FINITE_SPACES = (spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
+
+#: Types of which every value can be put into an array of whole numbers as it is
+WHOLE = frozenset({int, np.int64, np.int32, np.int16, np.int8, np.uint32, np.uint16, np.uint8})
 
 
 class LeanVecEnv(DummyVecEnv):
@@ -20,11 +37,15 @@ class LeanVecEnv(DummyVecEnv):
     arrays are copied flatly and the info dicts are the environments' own: they hold what DummyVecEnv's hold, unless an
     environment goes on writing into a dict that it has handed out.
 
+    An environment that is replaced in ``envs``, or anywhere inside its wrappers, is stepped from then on, and so is a
+    function that is put in the place of a ``step``.
+
     :param env_fns: functions that make the environments, each its own
-    :raises ValueError: if two of them return the same environment
+    :raises ValueError: if two of them return the same environment; in ``step`` and ``reset``, if an environment returns
+        what it must not, such as a fraction where its observation space is Discrete
     """
 
-    _prepared = ("_steps", "_only_array")
+    _prepared = ("_steps", "_only_array", "_parts", "_fitting_types", "_finite_shapes")
 
     def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
         super().__init__(env_fns)
@@ -41,22 +62,88 @@ class LeanVecEnv(DummyVecEnv):
     def _prepare(self) -> None:
         self._steps = [layered_step(env) for env in self.envs]
         #: The buffer of observations, where these are not a dict or a tuple of arrays
-        self._only_array: np.ndarray | None = self.buf_obs.get(None)  # type: ignore[call-overload]
+        self._only_array: Any = self.buf_obs.get(None)  # type: ignore[call-overload]
+        #: The names of the parts of an observation; ``None`` for an observation that has no parts
+        self._parts = list[Any](self.keys)
+        space: Any = self.observation_space
+        parts = {key: space if key is None else space[key] for key in self._parts}
+        #: The shapes of the parts of an observation that are whole numbers
+        self._finite_shapes = {key: part.shape for key, part in parts.items() if isinstance(part, FINITE_SPACES)}
+        #: Types of which every value can be put into the only array as it is
+        self._fitting_types = frozenset[type]()
+        if isinstance(space, spaces.Discrete):
+            self._fitting_types = WHOLE
+        elif isinstance(space, spaces.Box):
+            self._fitting_types = frozenset({np.ndarray})
 
     def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, dones, infos = self._only_array, self.buf_rews, self.buf_dones, []
-        for i, step in enumerate(self._steps):
-            observation, rewards[i], terminated, truncated, info = step(self.actions[i])
-            dones[i] = done = terminated or truncated
-            info["TimeLimit.truncated"] = truncated and not terminated
+        actions, steps, observations, fitting_types = self.actions, self._steps, self._only_array, self._fitting_types
+        rewards, dones = self.buf_rews, self.buf_dones
+        infos: list[dict[str, Any]] = []
+        for i, env in enumerate(self.envs):
+            try:
+                outcome: Any = steps[i](env, actions[i])
+                if outcome is None:
+                    steps[i] = layered_step(env)
+                    outcome = steps[i](env, actions[i])
+            except CONVERSION_ERRORS as error:
+                raise_fault(find_fault_of_call(env, "step", error), error)
+                raise
+            try:
+                observation, rewards[i], terminated, truncated, info = outcome
+                dones[i] = done = terminated or truncated
+                info["TimeLimit.truncated"] = truncated and not terminated
+                if done:
+                    info["terminal_observation"] = observation if type(observation) is int else deepcopy(observation)
+            except CONVERSION_ERRORS as error:
+                raise_fault(find_fault_of_step(env, outcome), error)
+                raise
             if done:
-                info["terminal_observation"] = deepcopy(observation)
-                observation, self.reset_infos[i] = self.envs[i].reset()
-            if observations is None:
-                self._save_obs(i, observation)
-            else:
+                observation, self.reset_infos[i] = _reset(env)
+            if type(observation) in fitting_types:
                 observations[i] = observation
+            else:
+                self._save_obs(i, observation)
             infos.append(info)
         # Copied, so that a later step does not overwrite what this one has handed out
         new_obs = self._obs_from_buf() if observations is None else observations.copy()
         return new_obs, rewards.copy(), dones.copy(), infos
+
+    def reset(self) -> VecEnvObs:
+        for i, env in enumerate(self.envs):
+            options = {"options": self._options[i]} if self._options[i] else {}
+            observation, self.reset_infos[i] = _reset(env, seed=self._seeds[i], **options)
+            self._save_obs(i, observation)
+        # Seeds and options are only used once
+        self._reset_seeds()
+        self._reset_options()
+        return self._obs_from_buf()
+
+    def _save_obs(self, env_idx: int, obs: Any) -> None:
+        try:
+            for key in self._parts:
+                value = obs if key is None else obs[key]
+                shape = self._finite_shapes.get(key)
+                if shape is not None and not (shape == () and type(value) in WHOLE) and not is_whole(value, shape):
+                    raise ValueError("NumPy would cut off a fraction, and repeat a number where there should be several")
+                self.buf_obs[key][env_idx] = value
+        except (*CONVERSION_ERRORS, LookupError) as error:
+            raise_fault(find_fault_of_observation(self.envs[env_idx], obs), error)
+            raise
+
+    def _obs_from_buf(self) -> VecEnvObs:
+        if self._only_array is not None:
+            return self._only_array.copy()
+        return dict_to_obs(self.observation_space, OrderedDict((key, array.copy()) for key, array in self.buf_obs.items()))
+
+
+def _reset(env: gym.Env, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+    """What the environment's ``reset`` returns; an error that names it where that is something else."""
+    try:
+        outcome: Any = env.reset(**arguments)
+    except CONVERSION_ERRORS as error:
+        raise_fault(find_fault_of_call(env, "reset", error), error)
+        raise
+    if not (isinstance(outcome, tuple) and len(outcome) == 2 and isinstance(outcome[1], dict)):
+        raise ValueError(explain_reset(env, outcome))
+    return outcome

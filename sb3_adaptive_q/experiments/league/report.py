@@ -55,11 +55,12 @@ TITLES = {
     "algorithms": "Other algorithms (track B repeated)",
 }
 WHAT = {
-    "B": "Score: the exact return of the greedy policy, averaged over 25 checkpoints; 0 is the uniform policy, 1 the optimum.",
-    "A": "Score: 1 minus the error of the values in units of the first table's error, averaged over 25 checkpoints. Behaviour "
-    "is uniform, and with one seed all rules see the same transitions.",
+    "B": "Score: the exact return of the greedy policy, 0 for the uniform policy and 1 for the optimum, averaged over all "
+    "checkpoints: it is high where a good policy is learned early and kept.",
+    "A": "Score: 1 minus the error of the values in units of the first table's error, averaged over all checkpoints. "
+    "Behaviour is uniform, and with one seed all rules see the same transitions.",
     "C": "Score: the squared error of the best constant step size in that environment divided by the rule's, both averaged "
-    "over 25 checkpoints; 1 is as good as the best constant step size, more is better.",
+    "over all checkpoints; 1 is as good as the best constant step size, more is better.",
     "algorithms": "Score as in track B, for other algorithms than Q-learning with four of the rules.",
 }
 NOTE = (

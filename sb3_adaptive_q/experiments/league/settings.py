@@ -11,8 +11,9 @@ import tyro
 import yaml
 
 from sb3_adaptive_q import ALGORITHMS
+from sb3_adaptive_q.checks import LEAGUE
 from sb3_adaptive_q.envs.catalogue import PROBLEMS
-from sb3_adaptive_q.experiments.design import check_least, check_selection, grid, parse_sweep
+from sb3_adaptive_q.experiments.design import check_options, check_selection, grid, parse_sweep
 from sb3_adaptive_q.experiments.environments import make_env
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
 from sb3_adaptive_q.experiments.names import (
@@ -27,7 +28,7 @@ from sb3_adaptive_q.experiments.names import (
 MEASURES = "sb3_adaptive_q.experiments.league.measures:measure_"
 TRACKS = ("A", "B", "C", "algorithms")
 #: What only selects among the cells, and may differ from one start of a league to the next
-SELECTION = ("tracks", "methods", "environments", "algorithm", "runs", "sweep", "scale", "resamples")
+SELECTION = ("tracks", "methods", "environments", "algorithm", "runs", "tuning_runs", "sweep", "scale", "resamples")
 #: The kind of an environment that the league does not know
 OWN_KIND = "your own"
 
@@ -104,12 +105,15 @@ class LeagueSettings:
     """
     What is compared. Without options it is the league itself: every rule in every environment, on all tracks.
 
-    :param tracks: A estimation, B control, C prediction; algorithms repeats B for other algorithms with four rules
+    :param tracks: A estimation, B control, C prediction; algorithms repeats B for other algorithms with four rules; all of
+        them if not given, of a quick look B alone
     :param methods: rules: numbers, names, or module:name of a class; constant and polynomial always take part
     :param environments: of tracks A and B: names, ids, or module:name of a function that makes one
     :param algorithm: of tracks A, B and C: a name, or module:name of a class
     :param runs: evaluated runs of every rule in every environment
-    :param quick: four settings of each rule, 5 runs to tune, 20 to evaluate and a tenth of the steps, for a first look
+    :param tuning_runs: runs of every setting that the choice of a setting rests on
+    :param quick: four settings of each rule, 5 runs to tune, 20 to evaluate, a tenth of the steps and 5 checkpoints, for a
+        first look
     :param sweep: name=value,value,... is the grid of a parameter of a rule of your own; can be given several times
     :param scale: environment=low,high are the mean returns of the uniform and of a good policy, for an environment without a
         transition table: its policies are judged by rollouts; can be given several times
@@ -119,11 +123,12 @@ class LeagueSettings:
     :raises DesignError: if one of these is out of range
     """
 
-    tracks: tuple[str, ...] = ("A", "B", "C", "algorithms")
+    tracks: tuple[str, ...] | None = None
     methods: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--method"])] = tuple(league_data()["grids"])
     environments: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--env"])] = tuple(league_data()["environments"])
     algorithm: str = "tabular_q"
     runs: int = league_data()["evaluation"]["runs"]
+    tuning_runs: int = league_data()["tuning"]["runs"]
     quick: bool = False
     sweep: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     scale: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -132,13 +137,10 @@ class LeagueSettings:
     resamples: int = 2000
 
     def __post_init__(self) -> None:
-        for name in ("tracks", "methods", "environments"):
-            check_selection(name, getattr(self, name))
-        for name in ("runs", "resamples", "steps"):
-            check_least(name, getattr(self, name), 2)
-        if not 0.0 <= self.gamma <= 1.0:
-            raise DesignError(f"gamma must be from 0 to 1, but is {self.gamma}.")
-        for name in self.tracks:
+        for name, values in (("tracks", self.names_of_tracks), ("methods", self.methods), ("environments", self.environments)):
+            check_selection(name, values)
+        check_options(self, LEAGUE)
+        for name in self.names_of_tracks:
             if name not in TRACKS:
                 raise unknown_name("track", name, TRACKS)
         for name in self._scales():
@@ -146,6 +148,19 @@ class LeagueSettings:
                 raise unknown_name("environment of a scale", name, self.environments)
         for text in self.sweep:
             parse_sweep(text)
+
+    @property
+    def names_of_tracks(self) -> Sequence[str]:
+        """The tracks that are played."""
+        if self.tracks is not None:
+            return self.tracks
+        return tuple(league_data()["quick"]["tracks"]) if self.quick else TRACKS
+
+    @property
+    def checkpoints(self) -> int:
+        """How often a table is judged in the course of a run, at equal distances."""
+        data = league_data()
+        return int(data["quick"]["checkpoints"] if self.quick else data["checkpoints"])
 
     def as_data(self) -> dict[str, Any]:
         """
@@ -159,7 +174,7 @@ class LeagueSettings:
         :return: the seeds, in groups that are run and stored together
         """
         data = league_data()
-        runs = data["tuning"]["runs"] if phase == "tuning" else self.runs
+        runs = self.tuning_runs if phase == "tuning" else self.runs
         if self.quick:
             runs = min(runs, data["quick"]["tuning_runs" if phase == "tuning" else "runs"])
         seeds = range(data[phase]["first"], data[phase]["first"] + runs)
@@ -182,7 +197,7 @@ class LeagueSettings:
             "C": Track("C", f"{MEASURES}prediction", data["uniform"], predictions, rules),
             "algorithms": Track("algorithms", f"{MEASURES}control", data["control"], tuple(tasks), self._of_algorithms()),
         }
-        return [tracks[name] for name in TRACKS if name in self.tracks and tracks[name].tasks]
+        return [tracks[name] for name in TRACKS if name in self.names_of_tracks and tracks[name].tasks]
 
     def _task(self, name: str) -> Task:
         data = league_data()

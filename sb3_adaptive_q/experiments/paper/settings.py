@@ -2,16 +2,16 @@
 
 import inspect
 import json
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import tyro
 
 from sb3_adaptive_q import METHODS
-from sb3_adaptive_q.experiments.design import Choice, Design, check_least, check_selection, grid, parse_sweep
+from sb3_adaptive_q.checks import STUDY
+from sb3_adaptive_q.experiments.design import Choice, Design, check_options, check_selection, grid, parse_sweep
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
 from sb3_adaptive_q.experiments.names import algorithm_class, method_label, method_parameters
 
@@ -55,7 +55,6 @@ PRESETS = MappingProxyType(
         "5 to 8 see max Q(s', ·), and μ starts every episode from β7",
     }
 )
-NEXT_ACTIONS = ("same", "next", "max")
 #: What only selects among the runs, and may grow from one start of a study to the next
 SELECTION = ("systems", "algorithms", "methods", "runs", "sweep")
 #: Settings that are arguments of the algorithm, and those that shape the paper's methods
@@ -117,14 +116,9 @@ class StudySettings:
     def __post_init__(self) -> None:
         for name in ("systems", "methods", "algorithms"):
             check_selection(name, getattr(self, name))
-        check_least("episodes", self.episodes, 1)
+        check_options(self, STUDY)
         if self.preset not in PRESETS:
             raise unknown_name("preset", self.preset, PRESETS)
-        if self.next_action is not None and self.next_action not in NEXT_ACTIONS:
-            raise unknown_name("next action", self.next_action, NEXT_ACTIONS)
-        for name in (field.name for field in fields(self) if field.name.startswith("beta_")):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise DesignError(f"{name} must be a finite number of at least 0, but is {getattr(self, name)}.")
         if self.beta_7 > self.beta_8:
             raise DesignError(f"beta_7 must not be above beta_8, but they are {self.beta_7} and {self.beta_8}.")
 

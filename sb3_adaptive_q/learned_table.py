@@ -1,0 +1,123 @@
+"""The part of a tabular algorithm that holds what was learned: the table, the masks of actions, and what is read from them."""
+
+from typing import Any
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays
+from sb3_adaptive_q.algorithms.declaration import AlgorithmDeclaration
+from sb3_adaptive_q.policies import TabularQPolicy
+from sb3_adaptive_q.step_size_in_force import StepSizeInForce
+from sb3_adaptive_q.vec_env import CompiledVecEnv
+
+
+class LearnedTable(AlgorithmDeclaration, StepSizeInForce):
+    """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: its tables, and the arrays that machine code is given."""
+
+    policy: TabularQPolicy
+    env: VecEnv | None
+    n_envs: int
+    num_timesteps: int
+    use_masking: bool
+    considered: np.ndarray
+    _working: dict[str, np.ndarray]
+    _next_actions: np.ndarray | None
+    _update_parameters: tuple[float, ...]
+
+    @property
+    def q_table(self) -> np.ndarray:
+        """
+        The live table of action values, of shape (n_states, n_actions). Another table may be assigned: its values are copied.
+        """
+        return self.policy.q_table.numpy()
+
+    @q_table.setter
+    def q_table(self, values: Any) -> None:
+        values = np.asarray(values, dtype=np.float64)
+        if values.shape != self.q_table.shape or not np.isfinite(values).all():
+            raise ValueError(
+                f"`q_table` must be given finite values of shape {self.q_table.shape}, but got an array of shape "
+                f"{values.shape}{'' if np.isfinite(values).all() else ' with NaN or infinities'}."
+            )
+        self.q_table[:] = values
+        for name in self.extra_tables(*values.shape):
+            getattr(self.policy, name).numpy()[:] = values
+
+    def learning_arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[Any, ...]]:
+        """
+        :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
+            of the algorithm, all as machine code takes them
+        :raises ValueError: if a table of the policy was replaced by one of another kind
+        """
+        shape = (self.policy.n_states, self.policy.n_actions)
+        shapes = {"q_table": shape, **self.extra_tables(*shape)}
+        tables = [getattr(self.policy, name).numpy() for name in shapes]
+        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
+            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
+                raise ValueError(
+                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
+                    f"and of shape {table.shape}: please put such a tensor into the policy."
+                )
+        masks = (self._masks(),) if self.use_masking else ()
+        return (*tables, *self._working.values(), *masks), (*self._step_size_memory(), self._update_parameters)
+
+    def _share_mu(self) -> None:
+        """Let the policy's ``mu`` and the training state's be the same memory: the policy may be another one by now."""
+        own = th.from_numpy(self.training.record["mu"])
+        if self.policy.mu.data_ptr() != own.data_ptr():
+            own[:] = self.policy.mu
+            self.policy.mu = own
+
+    def check_masks(self) -> None:
+        """
+        Check action masks that were read from a file or set by hand.
+
+        :raises ValueError: if the mask of a state forbids every action
+        """
+        if self.use_masking:
+            masks = self._masks()
+            for state in np.flatnonzero(~masks.any(axis=1)):
+                check_mask(masks[state], masks.shape[1:], f"state {state}")
+
+    def new_working_arrays(self) -> dict[str, np.ndarray]:
+        """
+        :return: the arrays that the update works with in the course of episodes, and room for action masks, as they begin
+        """
+        shape = self.q_table.shape
+        return self.working_arrays(self.n_envs, *shape) | (mask_arrays(shape[1]) if self.use_masking else {})
+
+    def _masks(self) -> np.ndarray:
+        return getattr(self.policy, ALLOWED).numpy()
+
+    def was_exploratory(self) -> np.ndarray:
+        """
+        For a callback, on an ordinary environment: whether the action that each environment took last was exploratory, which
+        means not among the best by the table that it was chosen from.
+
+        :return: of shape (n_envs,)
+        :raises RuntimeError: on a compiled environment, where a callback sees the end of many steps, or before any action
+        """
+        if isinstance(self.env, CompiledVecEnv) or self._next_actions is None:
+            raise RuntimeError("Exploratory actions are known while `learn` steps an ordinary environment: use LeanVecEnv.")
+        taken = self.considered[np.arange(self.n_envs), self._next_actions]
+        return taken < self.considered.max(axis=1)
+
+    def to_frame(self) -> Any:
+        """
+        :return: the table, its greedy actions and the memory of the step size as a pandas DataFrame, a row for each state
+        :raises ModuleNotFoundError: if what it needs is not installed: the extra ``plots``
+        """
+        from sb3_adaptive_q.plots import to_frame
+
+        return to_frame(self)
+
+    def __repr__(self) -> str:
+        if not hasattr(self, "policy"):
+            return f"{type(self).__name__} without a table"
+        method = "learning_rate" if self._method is None else self._method.data.label
+        return (
+            f"{type(self).__name__}({method}, {self.policy.n_states} states, {self.policy.n_actions} actions, "
+            f"{self.num_timesteps} steps learned)"
+        )
