@@ -172,7 +172,7 @@ class TabularExperiment(ExperimentManager):
         return [
             ("TensorBoard log", str(model.logger.get_dir())),
             ("Open it with", f"{tensorboard_command()} --logdir {Path(self.tensorboard_log).parent}"),
-            ("Reward and μ", tensorboard_address()),
+            ("Mean reward, step size", tensorboard_address()),
         ]
 
 
@@ -182,7 +182,7 @@ def describe(rewards: list[float]) -> str:
     :return: their mean and its standard error, in words
     """
     if len(rewards) < 2:
-        return "too few to tell"
+        return "fewer than two episodes"
     return f"mean reward {fmean(rewards):.2f} ± {stdev(rewards) / sqrt(len(rewards)):.2f} (standard error)"
 
 
@@ -221,9 +221,10 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """
     parser = argparse.ArgumentParser(
         usage="%(prog)s [train | enjoy | record-video | plot] [option ...]",
-        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it, and after "
-        "plot, draw how it learned. Unless told otherwise: --algo tabular_q "
-        f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
+        description="Train an agent with RL Zoo, and evaluate it. With `enjoy` as the first word, show a trained agent "
+        "instead; with `record-video`, record a video of it; with `plot`, draw how trainings went. The defaults are --algo "
+        f"tabular_q --env FrozenLake-v1 and the hyperparameters of {CONFIG}. The options of this package come first, those "
+        "of RL Zoo's training below.",
         add_help=False,
         allow_abbrev=False,
     )
@@ -231,16 +232,22 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
         "--method",
         type=method_name,
         metavar="METHOD",
-        help="a number of the paper's, 1 to 8, or the name of a step size, with its default parameters, in place of the YAML "
-        f"file's; the names are {', '.join(STEP_SIZES)}",
+        help="what sets the step size, with its default parameters and in place of what the YAML file says: 1 to 8 for the "
+        f"paper's methods, or {', '.join(STEP_SIZES)}",
     )
     parser.add_argument(
         "--vec-env",
         choices=VEC_ENVS,
         default="dummy",
-        help="step the environments one after the other, in compiled code, or each in a process of its own",
+        help="dummy steps the environments one after the other (the default); compiled trains in machine code, in "
+        "environments that compile; subproc runs each environment in a process of its own",
     )
-    parser.add_argument("-P", "--progress", action="store_true", help="a progress bar; no tables then unless --verbose 1")
+    parser.add_argument(
+        "-P",
+        "--progress",
+        action="store_true",
+        help="show a progress bar instead of the log tables (add --verbose 1 for both)",
+    )
     parser.set_defaults(started=False)
     ours, rest = parser.parse_known_args(arguments)
     if {"-h", "--help"} & set(rest):
@@ -265,7 +272,9 @@ def train(arguments: list[str]) -> None:
     except MISTAKES as error:
         if ours.started:
             raise
-        hint = " (values on the command line are Python: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        hint = (
+            " (values of -params are Python expressions: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        )
         sys.exit(f"error: {error}{hint}")
 
 

@@ -198,7 +198,7 @@ def standings_table(analysed: Analysed) -> pd.DataFrame:
                 "rule": row.label,
                 "setting": row.setting,
                 "score [95 % interval]": format_estimate(*row.score, decimals=3),
-                **{f"difference to {label}": _difference(row.comparisons.get(label)) for label in references},
+                **{f"score minus that of {label}": _difference(row.comparisons.get(label)) for label in references},
                 "final score": format_estimate(*row.final, decimals=3),
                 "score while learning": format_estimate(*row.online, decimals=3),
                 "mean": format_estimate(*row.mean, decimals=3),
