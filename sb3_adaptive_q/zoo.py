@@ -5,6 +5,7 @@ import json
 import runpy
 import shutil
 import sys
+from collections.abc import Callable
 from functools import partial
 from math import sqrt
 from pathlib import Path
@@ -16,6 +17,7 @@ import gymnasium as gym
 import rl_zoo3.enjoy
 import rl_zoo3.train
 import yaml
+from optuna.samplers import BaseSampler
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -26,8 +28,10 @@ from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.hyperparameters import tensorboard_outputs
+from sb3_adaptive_q.output import spell_out_what_cannot_be_written
 from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.zoo_runs import FOLDER, plot_training, with_latest_model
 
 ALGORITHM = "tabular_q"
 #: The hyperparameters used where ``-conf`` names no others
@@ -38,8 +42,8 @@ DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
 #: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
 N_EVALUATION_EPISODES = 500
 N_EVALUATION_ENVS = 10
-#: Steps of an episode of an evaluation, in an environment without a limit of its own
-EVALUATION_LIMIT = 200
+#: Steps of an episode of an evaluation where the environment has no limit. A greedy policy may walk against a wall for ever
+EVALUATION_LIMIT = 1000
 #: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
 #: What a mistake on the command line or in the YAML file raises while an experiment is set up
@@ -107,9 +111,8 @@ class TabularExperiment(ExperimentManager):
 
     def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
         """
-        Make the environments of the training or of an evaluation. An evaluation gets what the YAML file says in ``env_kwargs``,
-        which RL Zoo forgets, and a limit of steps where the environment has none: a greedy policy may walk against a wall for
-        ever.
+        Make the environments of the training or of an evaluation. An evaluation gets the ``env_kwargs`` of the YAML file, which
+        RL Zoo leaves out, and a limit of steps where the environment has none.
 
         :param n_envs: how many
         :param eval_env: whether they are for an evaluation
@@ -118,9 +121,13 @@ class TabularExperiment(ExperimentManager):
         """
         if eval_env and self._eval_env_kwargs_args is None:
             self.eval_env_kwargs = dict(self.env_kwargs)
-        if eval_env and gym.spec(self.env_name.gym_id).max_episode_steps is None:
-            self.eval_env_kwargs.setdefault("max_episode_steps", EVALUATION_LIMIT)
+        if eval_env and self._has_no_limit():
+            self.eval_env_kwargs = {**self.eval_env_kwargs, "max_episode_steps": EVALUATION_LIMIT}
         return super().create_envs(n_envs, eval_env, no_log)
+
+    def _has_no_limit(self) -> bool:
+        given = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
+        return gym.spec(self.env_name.gym_id).max_episode_steps is None and "max_episode_steps" not in given
 
     def save_trained_model(self, model: BaseAlgorithm) -> None:
         """
@@ -136,12 +143,24 @@ class TabularExperiment(ExperimentManager):
             output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
-            (f"Greedy policy, {len(greedy)} episodes", describe(greedy)),
+            (f"Greedy policy, {len(greedy)} episodes", describe(greedy) + self._limit_in_words()),
             ("Model", f"{self.save_path}/{self.env_name}.zip"),
             *self._tensorboard_rows(model),
         ]
         width = max(len(name) for name, _ in rows)
         print("\n" + "\n".join(f"{name:<{width}}  {value}" for name, value in rows))
+
+    def _create_sampler(self, sampler_method: str) -> BaseSampler:
+        try:
+            return super()._create_sampler(sampler_method)
+        except ModuleNotFoundError as error:
+            sys.exit(
+                f"error: --sampler {sampler_method} needs {error.name}: install it with  pip install {error.name}  or use "
+                "--sampler tpe"
+            )
+
+    def _limit_in_words(self) -> str:
+        return f", each of at most {EVALUATION_LIMIT} steps" if self._has_no_limit() else ""
 
     def _greedy_rewards(self, model: BaseAlgorithm) -> list[float]:
         # Played in the ordinary environment, however the model was trained
@@ -206,10 +225,11 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     :return: our options, and the rest, which is RL Zoo's
     """
     parser = argparse.ArgumentParser(
-        usage="%(prog)s [train | enjoy | record-video] [option ...]",
+        usage="%(prog)s [train | enjoy | record-video | plot] [option ...]",
         description="Train an agent with RL Zoo, and evaluate it. With `enjoy` as the first word, show a trained agent "
-        "instead; with `record-video`, record a video of it. The defaults are --algo tabular_q --env FrozenLake-v1 and the "
-        f"hyperparameters of {CONFIG}. The options of this package come first, those of RL Zoo's training below.",
+        "instead; with `record-video`, record a video of it; with `plot`, draw how trainings went. The defaults are --algo "
+        f"tabular_q --env FrozenLake-v1 and the hyperparameters of {CONFIG}. The options of this package come first, those "
+        "of RL Zoo's training below.",
         add_help=False,
         allow_abbrev=False,
     )
@@ -270,11 +290,8 @@ def enjoy(arguments: list[str]) -> None:
     :param arguments: the command line
     :raises SystemExit: if there is no such agent
     """
-    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
-    try:
-        rl_zoo3.enjoy.enjoy()
-    except (AssertionError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    sys.argv[1:] = with_latest_model([*DEFAULTS, "-f", FOLDER, *arguments])
+    _show(rl_zoo3.enjoy.enjoy)
 
 
 def record_video(arguments: list[str]) -> None:
@@ -284,25 +301,42 @@ def record_video(arguments: list[str]) -> None:
     :param arguments: the command line
     :raises SystemExit: if there is no such agent
     """
-    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
+    sys.argv[1:] = with_latest_model([*DEFAULTS, "-f", FOLDER, *arguments])
+    _show(partial(runpy.run_module, "rl_zoo3.record_video", run_name="__main__"))
+
+
+def _show(program: Callable[[], Any]) -> None:
     try:
-        runpy.run_module("rl_zoo3.record_video", run_name="__main__")
+        program()
     except (AssertionError, ValueError) as error:
+        sys.exit(f"error: {error} (a search with --optimize leaves no model: train one first)")
+    except gym.error.DependencyNotInstalled as error:
         sys.exit(f"error: {error}")
 
 
+def plot(arguments: list[str]) -> None:
+    """
+    Run RL Zoo's ``plot_train``, which plots the returns of trainings, with our defaults.
+
+    :param arguments: the command line; ``-o FILE`` saves the picture
+    :raises SystemExit: if there is nothing to plot
+    """
+    plot_training(["-a", ALGORITHM, "-e", "FrozenLake-v1", "-f", FOLDER, *arguments])
+
+
 #: What the first argument may ask for; anything else is training
-PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video}
+PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video, "plot": plot}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """
-    Train or, with ``enjoy`` or ``record-video`` as the first argument, show a trained agent.
+    Train or, with ``enjoy``, ``record-video`` or ``plot`` as the first argument, show a trained agent, or how it learned.
 
     :param arguments: the command line; ``None`` for that of the process
     :raises SystemExit: if there is a mistake in it
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    spell_out_what_cannot_be_written()
     register()
     if arguments[:1] and arguments[0] in PROGRAMS:
         PROGRAMS[arguments[0]](arguments[1:])

@@ -322,7 +322,6 @@ USAGE = 2
     ("arguments", "message"),
     [
         (["--env", "FrozenLak-v1"], "FrozenLak-v1 not found .* FrozenLake-v1"),
-        (["--env", "Blackjack-v1"], "observation space, but got Tuple"),
         (["--env", "CartPole-v1", "-params", "env_wrapper:None"], r"wrappers\.DiscretizeObservation"),
         (["-params", "method:9"], "There are methods 1 to 8, .* but got 9"),
         (["-params", "gamma:2"], "`gamma` must be a number from 0 to 1, but got 2"),
