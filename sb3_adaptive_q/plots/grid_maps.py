@@ -97,7 +97,7 @@ def find_map(
     if isinstance(inner, TaxiEnv):
         return _taxi_map(inner, *_taxi_places(passenger, destination))
     if passenger is not None or destination is not None:
-        raise ValueError("`passenger` and `destination` are Taxi's: please leave them away for other environments.")
+        raise ValueError("`passenger` and `destination` are Taxi's: please leave them out for other environments.")
     letters = _letters(inner)
     if letters is None or letters.size != n_states:
         return None

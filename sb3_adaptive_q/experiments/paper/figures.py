@@ -67,7 +67,7 @@ def pair_figure(results: Results, system: str, methods: list[str]) -> Figure:
     for (left, right), method in zip(axes, methods, strict=True):
         _draw_reward(left, results.series[system, method], system)
         _draw_rate(right, results.series[system, method])
-        left.set_title(f"{method}: reward", loc="left")
+        left.set_title(f"{method}: return", loc="left")
         number = PAPER_METHODS.index(method) + 1 if method in PAPER_METHODS else 0
         right.set_title(f"{method}: {METHODS[number].formula if number else 'μ'}", loc="left", fontsize="small")
     for axis in axes[-1]:
@@ -80,7 +80,7 @@ def pair_figure(results: Results, system: str, methods: list[str]) -> Figure:
 
 def _draw_reward(axis: Axes, series: Series, system: str) -> None:
     _draw_with_mean(axis, series.returns, BLUE, GREEN)
-    axis.set_ylabel("reward of an episode")
+    axis.set_ylabel("return per episode")
     if system in PAPER_SYSTEMS:
         limit = PAPER_SYSTEMS[system].limit
         axis.set_ylim(-0.03 * limit, 1.05 * limit)
@@ -88,7 +88,7 @@ def _draw_reward(axis: Axes, series: Series, system: str) -> None:
 
 def _draw_rate(axis: Axes, series: Series) -> None:
     _draw_with_mean(axis, series.mu, GREY, INK)
-    axis.set_ylabel("μ at the episode's end")
+    axis.set_ylabel("μ at the end of the episode")
     # The axis is shared: the larger rate decides, and the legend needs room above it
     axis.set_ylim(0.0, max(axis.get_ylim()[1], 1.35 * float(series.mu.max())))
 
@@ -96,7 +96,7 @@ def _draw_rate(axis: Axes, series: Series) -> None:
 def _draw_with_mean(axis: Axes, values: np.ndarray, color: str, mean_color: str) -> None:
     episodes = np.arange(1, len(values) + 1)
     axis.plot(episodes, values, color=color, linewidth=0.4, rasterized=True, label="mean over the runs")
-    label = f"its mean over {WINDOW} episodes"
+    label = f"the same, mean of the last {WINDOW} episodes"
     axis.plot(episodes, trailing_mean(values), color=mean_color, linewidth=1.8, rasterized=True, label=label)
     tidy(axis)
 
