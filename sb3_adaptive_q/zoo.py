@@ -111,8 +111,8 @@ class TabularExperiment(ExperimentManager):
 
     def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
         """
-        Make the environments of the training or of an evaluation. An evaluation gets the ``env_kwargs`` of the YAML file, which
-        RL Zoo leaves out, and a limit of steps where the environment has none.
+        Make the environments of the training or of an evaluation. An evaluation gets the ``env_kwargs`` of the YAML file,
+        which RL Zoo leaves out, and a limit of steps where the environment has none.
 
         :param n_envs: how many
         :param eval_env: whether they are for an evaluation
