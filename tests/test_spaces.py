@@ -15,11 +15,11 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ, register_dynamics
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
 from sb3_adaptive_q.policies import TabularQPolicy
 from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.state_index import is_finite, make_state_index
-from sb3_adaptive_q.vec_env import Dynamics
+from sb3_adaptive_q.vec_env import Dynamics, register_dynamics
 
 CARDS = spaces.Tuple([spaces.Discrete(32), spaces.Discrete(11), spaces.Discrete(2)])
 ROOM = spaces.Dict({"place": spaces.MultiDiscrete([2, 3], start=[1, -1]), "door": spaces.Discrete(2, start=5)})
