@@ -25,7 +25,7 @@ endef
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help train test fuzz endurance lint types benchmark study tensorboard wheel clean
+.PHONY: help train test fuzz endurance exhaustive boundscheck lint types docs benchmark study tensorboard wheel clean
 
 help:  ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -42,12 +42,24 @@ fuzz: $(DEV)  ## Try 5 000 random decision processes on both paths
 endurance: $(DEV)  ## Kill trainings at fifty random moments, and let them go on
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/endurance/*.py $(ARGS)
 
+exhaustive: $(DEV)  ## Run what the test suite has samples of, whole: all pairs of choices, 400 interrupts
+	EXHAUSTIVE=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/test_algorithms_paths.py tests/test_interrupts.py $(ARGS)
+
+# In a cache of its own, which is empty at first: machine code with checks is other machine code.
+boundscheck: $(DEV)  ## Run the tests of machine code with every index checked
+	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR="$$cache" \
+		$(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/test_same_results.py tests/test_compiled_env.py \
+		tests/test_compiled_callbacks.py tests/test_interrupts.py tests/test_algorithms_paths.py tests/test_transition_tables.py $(ARGS)
+
 lint: $(DEV)  ## Check style and formatting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
 types: $(DEV)  ## Check types
 	$(BIN)/mypy
+
+docs: $(DEV)  ## Build the documentation into build/docs
+	$(BIN)/python -m sphinx -W --keep-going -n -q -d build/doctrees docs build/docs
 
 benchmark: $(DEV)  ## Compare speeds, as ratios within one run
 	$(BIN)/python -m benchmarks $(ARGS)
@@ -58,11 +70,11 @@ study: $(DEV)  ## Repeat the paper's experiment: tables, figures and report
 tensorboard: $(ZOO)  ## Show the training log in the browser
 	$(BIN)/tensorboard --logdir $(LOG)
 
-wheel: $(DEV)  ## Build the wheel into dist/
-	$(BIN)/python -m build --wheel
+wheel: $(DEV)  ## Build the wheel and the source distribution into dist/
+	$(BIN)/python -m build
 
 clean:  ## Remove the virtual environment and all that was built or cached
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist docs/generated *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find sb3_adaptive_q wrappers tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.created:

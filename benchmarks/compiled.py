@@ -15,7 +15,7 @@ from sb3_adaptive_q import learn_many
 SEED = 0
 METHODS = (1, 7)
 N_ROUNDS = 9
-#: Long enough for each kind of episode end, and no multiple of a stretch
+#: Long enough for each kind of episode end, and no multiple of a rollout
 CHECKED_STEPS = 300_001
 
 

@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env.patch_gym import _patch_env
 from sb3_adaptive_q.action_masks import ALLOWED, note_mask
 from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.checks import ATTRIBUTES, MOST_STEPS, RATE, check
+from sb3_adaptive_q.hyperparameters import record_hyperparameters, run_name
 from sb3_adaptive_q.learned_table import LearnedTable
 from sb3_adaptive_q.logs import record_logs
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
@@ -238,6 +239,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             )
             step_locals = locals()
             callback.on_training_start(step_locals, globals())
+            record_hyperparameters(self)
             self._rollout = rollout = self._make_rollout(callback, step_locals)
             if self._take_up(rollout):
                 self._learn_from(rollout, log_interval)
@@ -303,7 +305,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         self.episode_series = []
         with _SETTING_UP:
             total_timesteps, callback = self._setup_learn(
-                total_timesteps, callback, reset_num_timesteps, tb_log_name or self._run_name(), progress_bar
+                total_timesteps, callback, reset_num_timesteps, tb_log_name or run_name(self, callback), progress_bar
             )
         if reset_num_timesteps:
             self._last_dump = 0
@@ -332,10 +334,6 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
             self._working = working
         self.check_masks()
-
-    def _run_name(self) -> str:
-        name = type(self).__name__
-        return name if self._method is None else f"{name}_{self._method.data.label}"
 
     def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
         if self.use_masking and isinstance(self.env, CompiledVecEnv):

@@ -290,6 +290,7 @@ EXECUTION: dict[str, Check] = {"workers": LEARN["workers"], "processes": FLAG, "
 #: Of the league, whose statistics need two of each
 LEAGUE: dict[str, Check] = {
     "runs": whole_number(2, MOST_RUNS),
+    "tuning_runs": whole_number(2, MOST_RUNS),
     "steps": whole_number(2, MOST_STEPS),
     "resamples": whole_number(2, 1_000_000),
     "gamma": RATE,

@@ -9,8 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sb3_adaptive_q.checks import FINITE, check
+from sb3_adaptive_q.compiled.jit import CannotCompile, type_returned
 from sb3_adaptive_q.step_sizes.cells import COUNTS, MOST_ARRAYS, keep_mu, last_size, make_size, scalar_size
 from sb3_adaptive_q.step_sizes.step import Step, clip_size
+
+
+_STEP_OF_ZEROS = Step(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class MethodData(NamedTuple):
@@ -99,6 +103,26 @@ class InstalledMethod:
             return self.rule
         return last_size if self.step_size is not None else keep_mu
 
+    def check_functions(self) -> None:
+        """
+        Compile functions of a user's own by themselves, for a message that names the one at fault.
+
+        :raises CannotCompile: if one is outside the part of Python that becomes machine code
+        :raises ValueError: if one returns something else than a number
+        """
+        arrays = [np.zeros((1, 1)) for _ in self.data.memory]
+        for name, function, further in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
+            if function is None or function.__module__.partition(".")[0] == __package__:
+                continue
+            try:
+                other = type_returned(function, (0.0, _STEP_OF_ZEROS, *self.arguments, *further))
+            except CannotCompile as error:
+                raise CannotCompile(f"`{name}` does not compile, because {error}") from error
+            if other is not None:
+                raise ValueError(
+                    f"`{name}` of {self.data.owner} must return a number in every case, but returns {other}: please check it."
+                )
+
     def start(self) -> float:
         """
         :return: the scalar step size of the first update
@@ -106,7 +130,7 @@ class InstalledMethod:
         """
         if self.data.mu_0 is not None:
             return float(self.data.mu_0)
-        step = Step(0, 0, 0, 0, 1.0 if self.data.counts else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        step = _STEP_OF_ZEROS._replace(count=1.0 if self.data.counts else 0.0)
         if self.step_size is not None:
             arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
             mu: Any = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)

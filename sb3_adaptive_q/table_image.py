@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from stable_baselines3.common.callbacks import EveryNTimesteps
-from stable_baselines3.common.logger import Figure as LoggedFigure, TensorBoardOutputFormat
+from stable_baselines3.common.logger import Figure as LoggedFigure
+
+from sb3_adaptive_q.hyperparameters import tensorboard_outputs
 
 _DOTS_PER_INCH = 100
 
@@ -45,7 +47,7 @@ class TableImageCallback(EveryNTimesteps):
         self.choice = choice
 
     def _on_training_start(self) -> None:
-        outputs = [output for output in self.logger.output_formats if isinstance(output, TensorBoardOutputFormat)]
+        outputs = tensorboard_outputs(self.model)
         if not outputs:
             raise ValueError(
                 "TableImageCallback writes to TensorBoard: please give the model a folder as `tensorboard_log`, or a logger "

@@ -1,6 +1,7 @@
 """Training with RL Zoo: the tabular algorithms among its own, and its programs with our defaults."""
 
 import argparse
+import json
 import runpy
 import shutil
 import sys
@@ -11,9 +12,9 @@ from math import sqrt
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
+from urllib.parse import quote
 
 import gymnasium as gym
-import optuna
 import rl_zoo3.enjoy
 import rl_zoo3.train
 import yaml
@@ -24,8 +25,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
+from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.callbacks import method as make_method
+from sb3_adaptive_q.hyperparameters import tensorboard_outputs
 from sb3_adaptive_q.output import spell_out_what_cannot_be_written
 from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
@@ -33,7 +36,7 @@ from sb3_adaptive_q.zoo_runs import FOLDER, plot_training, with_latest_model
 
 ALGORITHM = "tabular_q"
 #: The hyperparameters used where ``-conf`` names no others
-CONFIG = Path(__file__).parent / "hyperparams" / "tabular_q.yml"
+CONFIG = Path(__file__).parent / "hyperparams" / "tabular.yml"
 VEC_ENVS = {"dummy": LeanVecEnv, "compiled": CompiledVecEnv, "subproc": SubprocVecEnv}
 #: What both of RL Zoo's programs are told first; what the user says comes later and so prevails
 DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
@@ -52,62 +55,8 @@ def register() -> None:
     """Make the tabular algorithms known to RL Zoo, with their search space for ``--optimize``."""
     for name, algorithm in ALGORITHMS.items():
         rl_zoo3.ALGOS[name] = algorithm
-        HYPERPARAMS_SAMPLER[name] = sample_hyperparameters
-        HYPERPARAMS_CONVERTER[name] = convert_hyperparameters  # type: ignore[assignment]
-
-
-def sample_hyperparameters(
-    trial: optuna.Trial, n_actions: int, n_envs: int, additional_args: dict[str, Any]
-) -> dict[str, Any]:
-    """
-    Draw a candidate for ``--optimize``. All methods are described by the same four numbers, so that what is learned about
-    one method helps with the others; Method 2 is Method 1 with another constant, and so is a plain learning rate.
-
-    :param trial: the trial to draw for
-    :param n_actions: unused, of RL Zoo's interface, as are the next two
-    :param n_envs: unused
-    :param additional_args: unused
-    :return: arguments of a tabular algorithm
-    """
-    sampled = {
-        "method": trial.suggest_categorical("method", [1, 3, 4, 5, 6, 7, 8]),
-        # The largest step size, the smallest one as a fraction of it, and how fast Methods 5 to 8 move, as a multiple
-        "upper": trial.suggest_float("upper", 0.002, 1.0, log=True),
-        "lower_fraction": trial.suggest_float("lower_fraction", 0.001, 1.0, log=True),
-        "change": trial.suggest_float("change", 0.01, 10.0, log=True),
-        "one_minus_gamma": trial.suggest_float("one_minus_gamma", 0.0001, 0.1, log=True),
-        "exploration_fraction": trial.suggest_float("exploration_fraction", 0.1, 1.0),
-        "exploration_final_eps": trial.suggest_float("exploration_final_eps", 0.0, 0.2),
-    }
-    return convert_hyperparameters(sampled)
-
-
-def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
-    """
-    Turn what a trial stores into what a tabular algorithm takes.
-
-    :param sampled: the numbers drawn by :func:`sample_hyperparameters`, by their names in the trial
-    :return: arguments of a tabular algorithm
-    """
-    number, upper = sampled["method"], sampled["upper"]
-    lower, change = upper * sampled["lower_fraction"], upper * sampled["change"]
-    bounds = {"mu_0": upper, "lower": lower, "upper": upper}
-    method_kwargs = {
-        1: {"beta": upper},
-        3: {"beta_1": lower, "beta_3": upper - lower},
-        4: {"beta_1": lower, "beta_3": upper - lower},
-        5: {"gain": -change, **bounds},
-        6: {"gain": change, **bounds},
-        7: {"step": change, **bounds},
-        8: {"step": -change, **bounds},
-    }
-    return {
-        "method": number,
-        "method_kwargs": method_kwargs[number],
-        "gamma": 1.0 - sampled["one_minus_gamma"],
-        "exploration_fraction": sampled["exploration_fraction"],
-        "exploration_final_eps": sampled["exploration_final_eps"],
-    }
+        HYPERPARAMS_SAMPLER[name] = search_space.sampler_of(name)
+        HYPERPARAMS_CONVERTER[name] = search_space.convert  # type: ignore[assignment]
 
 
 def merge_method(hyperparams: dict[str, Any] | None, method: int | str | None) -> dict[str, Any]:
@@ -174,6 +123,9 @@ class TabularExperiment(ExperimentManager):
         super().save_trained_model(model)
         recent = [info["r"] for info in model.ep_info_buffer or ()]
         greedy = self._greedy_rewards(model)
+        for output in tensorboard_outputs(model) if greedy else ():
+            # Under the tag of SB3's EvalCallback, whose evaluations are of few episodes
+            output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
             (
@@ -220,6 +172,7 @@ class TabularExperiment(ExperimentManager):
         return [
             ("TensorBoard log", str(model.logger.get_dir())),
             ("Open it with", f"{tensorboard_command()} --logdir {Path(self.tensorboard_log).parent}"),
+            ("Mean reward, step size", tensorboard_address()),
         ]
 
 
@@ -229,7 +182,7 @@ def describe(rewards: list[float]) -> str:
     :return: their mean and its standard error, in words
     """
     if len(rewards) < 2:
-        return "too few to tell"
+        return "fewer than two episodes"
     return f"mean reward {fmean(rewards):.2f} ± {stdev(rewards) / sqrt(len(rewards)):.2f} (standard error)"
 
 
@@ -239,6 +192,12 @@ def tensorboard_command() -> str:
     if shutil.which("tensorboard") == str(beside) or not beside.exists():
         return "tensorboard"
     return str(beside.relative_to(Path.cwd()) if beside.is_relative_to(Path.cwd()) else beside)
+
+
+def tensorboard_address() -> str:
+    """:return: the address that shows the mean reward and μ on TensorBoard's first screen, for a server at its usual port"""
+    cards = [{"plugin": "scalars", "tag": tag} for tag in ("rollout/ep_rew_mean", "train/learning_rate")]
+    return f"http://localhost:6006/?pinnedCards={quote(json.dumps(cards, separators=(',', ':')))}#timeseries"
 
 
 def method_name(text: str) -> int | str:
@@ -262,9 +221,10 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """
     parser = argparse.ArgumentParser(
         usage="%(prog)s [train | enjoy | record-video | plot] [option ...]",
-        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it, and after "
-        "plot, draw how it learned. Unless told otherwise: --algo tabular_q "
-        f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
+        description="Train an agent with RL Zoo, and evaluate it. With `enjoy` as the first word, show a trained agent "
+        "instead; with `record-video`, record a video of it; with `plot`, draw how trainings went. The defaults are --algo "
+        f"tabular_q --env FrozenLake-v1 and the hyperparameters of {CONFIG}. The options of this package come first, those "
+        "of RL Zoo's training below.",
         add_help=False,
         allow_abbrev=False,
     )
@@ -272,16 +232,22 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
         "--method",
         type=method_name,
         metavar="METHOD",
-        help="a number of the paper's, 1 to 8, or the name of a step size, with its default parameters, in place of the YAML "
-        f"file's; the names are {', '.join(STEP_SIZES)}",
+        help="what sets the step size, with its default parameters and in place of what the YAML file says: 1 to 8 for the "
+        f"paper's methods, or {', '.join(STEP_SIZES)}",
     )
     parser.add_argument(
         "--vec-env",
         choices=VEC_ENVS,
         default="dummy",
-        help="step the environments one after the other, in compiled code, or each in a process of its own",
+        help="dummy steps the environments one after the other (the default); compiled trains in machine code, in "
+        "environments that compile; subproc runs each environment in a process of its own",
     )
-    parser.add_argument("-P", "--progress", action="store_true", help="a progress bar; no tables then unless --verbose 1")
+    parser.add_argument(
+        "-P",
+        "--progress",
+        action="store_true",
+        help="show a progress bar instead of the log tables (add --verbose 1 for both)",
+    )
     parser.set_defaults(started=False)
     ours, rest = parser.parse_known_args(arguments)
     if {"-h", "--help"} & set(rest):
@@ -306,7 +272,9 @@ def train(arguments: list[str]) -> None:
     except MISTAKES as error:
         if ours.started:
             raise
-        hint = " (values on the command line are Python: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        hint = (
+            " (values of -params are Python expressions: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        )
         sys.exit(f"error: {error}{hint}")
 
 

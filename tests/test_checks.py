@@ -179,8 +179,8 @@ def test_every_argument_of_an_algorithm_is_checked(algorithm):
 def test_every_number_of_an_experiment_is_in_the_table(options, table):
     """Names are looked up elsewhere, each among others of its kind."""
     numbers = {each.name for each in fields(options) if isinstance(each.default, int | float | None)}
-    assert numbers - {"dask"} <= table.keys()
-    for name in numbers - {"dask"}:
+    assert numbers - {"dask", "tracks"} <= table.keys()
+    for name in numbers - {"dask", "tracks"}:
         for value in ("abc", math.nan, 10**23 if name in ("runs", "workers") else [1]):
             with pytest.raises(DesignError, match=f"`{name}` must be "):
                 options(**{name: value})

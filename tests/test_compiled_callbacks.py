@@ -282,7 +282,7 @@ class Watch(BaseCallback):
 
 class TestCallbacksOfAUser:
     @N_ENVS
-    def test_once_for_each_stretch(self, n_envs):
+    def test_once_for_each_rollout(self, n_envs):
         watch = Watch()
         outcome = learn(make_model(LAKE, True, n_envs, callback_interval=400, **MODEL), 1_000 * n_envs, watch)
         assert [seen["n"] for seen in watch.seen] == [400 * n_envs, 800 * n_envs, 1000 * n_envs]
@@ -293,7 +293,7 @@ class TestCallbacksOfAUser:
 
     @N_ENVS
     def test_locals_are_those_of_the_ordinary_path(self, n_envs):
-        """In stretches of one step all of them; but for the time of day in the infos."""
+        """In rollouts of one step all of them; but for the time of day in the infos."""
         (_, ordinary), (_, compiled) = on_both_paths(lambda path: Watch(), 300, n_envs, callback_interval=1)
         ended = 0
         for ours, theirs in zip(ordinary.seen, compiled.seen, strict=True):
@@ -356,14 +356,14 @@ class TestCallbacksOfAUser:
         assert len(set(ours.rates.tolist())) > 1
 
     @pytest.mark.parametrize("n_envs", [1, 4])
-    def test_the_default_stretch_is_long(self, n_envs):
+    def test_the_default_rollout_is_long(self, n_envs):
         watch = Watch()
         make_model(LAKE, True, n_envs=n_envs).learn(1_300_000, callback=watch, log_interval=None)
         assert [np.size(seen["dones"]) for seen in watch.seen] == [1_000_000, 300_000]
 
     @pytest.mark.parametrize(("callback", "name"), [(Watch(), "Watch"), (lambda found, everywhere: True, "ConvertCallback")])
     def test_one_that_may_not_know_is_warned_of(self, callback, name):
-        with pytest.warns(UserWarning, match=f"{name} is called once for many steps") as warned:
+        with pytest.warns(UserWarning, match=f"{name} is called once for a block of many steps") as warned:
             make_model(LAKE, True).learn(1_000, callback=callback, log_interval=None)
         assert len(warned) == 1
 
@@ -486,13 +486,13 @@ class TestLog:
         ours, theirs = ([(info["r"], info["l"]) for info in model.ep_info_buffer] for model in (ordinary, compiled))
         assert theirs == ours and len(ours) == min(size, ordinary._episode_num)
 
-    def test_the_window_spans_stretches(self):
+    def test_the_window_spans_rollouts(self):
         (ordinary, _), (compiled, _) = (logged(path, 9_000, callback_interval=50) for path in (False, True))
         ours, theirs = ([(info["r"], info["l"]) for info in model.ep_info_buffer] for model in (ordinary, compiled))
         assert theirs == ours
 
     def test_intervals_of_episodes(self):
-        """Written after the stretch in which they were due."""
+        """Written after the rollout in which they were due."""
         model, kept = make_model(LAKE, True, callback_interval=500, **MODEL), Kept()
         model.set_logger(Logger(folder=None, output_formats=[kept]))
         model.learn(5_000, log_interval=10)

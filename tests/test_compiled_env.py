@@ -399,6 +399,50 @@ class TestRulesOfAUser:
             make_model(LAKE, False).learn(100, callback=Texts(mu_0=0.1))
 
     @pytest.mark.parametrize("path", [False, True])
+    @pytest.mark.parametrize("late, given", [(None, "none"), (0.1, "OptionalType"), ("text", "unicode_type")])
+    def test_one_that_gives_no_number(self, path, late, given):
+        """Never, sometimes, or something else: in one sentence, before anything is learned."""
+
+        class Forgetful(LearningRateCallback):
+            @staticmethod
+            def rule(mu, transition):
+                return None
+
+        class Seldom(LearningRateCallback):
+            @staticmethod
+            def rule(mu, transition):
+                if transition.progress > 0.5:
+                    return 0.1
+
+        class Wordy(LearningRateCallback):
+            @staticmethod
+            def rule(mu, transition):
+                return "0.1"
+
+        rule = {None: Forgetful, 0.1: Seldom, "text": Wordy}[late]
+        model = make_model(LAKE, path)
+        with refused(f"`rule` of {__name__}", rule.__name__, "must return a number in every case", given):
+            model.learn(1_000, callback=rule(mu_0=0.1))
+        assert model.num_timesteps == 0 and not model.q_table.any()
+
+    def test_one_that_fails_as_python(self):
+        """The table is as it was before the update that the rule failed after."""
+
+        class Failing(LearningRateCallback):
+            @staticmethod
+            def rule(mu, transition):
+                if transition.value != 0.0:
+                    raise OSError("no such file")
+                return {"mu": [mu, "text"]}["mu"][0]
+
+        model = make_model(LAKE, False, initial_q=1.0)
+        before = model.q_table.copy()
+        with pytest.warns(UserWarning, match="Failing runs as Python"), pytest.raises(OSError, match="no such file"):
+            model.learn(1_000, callback=Failing(mu_0=0.1))
+        np.testing.assert_array_equal(model.q_table, before)
+        assert model.num_timesteps == 1
+
+    @pytest.mark.parametrize("path", [False, True])
     def test_one_that_leaves_the_range(self, path):
         class Doubling(LearningRateCallback):
             @staticmethod

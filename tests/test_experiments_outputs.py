@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -54,7 +55,8 @@ def test_figures_have_the_papers_numbers_and_both_formats(folder: ResultFolder) 
             pixels = matplotlib.image.imread(path)
             assert min(pixels.shape[:2]) >= 400 and pixels.std() > 0.01
         else:
-            assert path.read_bytes().startswith(b"%PDF")
+            content = path.read_bytes()
+            assert content.startswith(b"%PDF") and b"/Type3" not in content  # journals refuse such fonts
 
 
 def test_figure_shows_the_mean_over_the_runs_and_its_100_episode_mean(folder: ResultFolder) -> None:
@@ -153,9 +155,36 @@ def scalars(run: Path) -> EventAccumulator:
     return EventAccumulator(str(run)).Reload()
 
 
-def test_tensorboard_has_each_run_with_its_parameters(folder: ResultFolder, tmp_path: Path) -> None:
+def hparams(events: EventAccumulator) -> dict[str, Any]:
+    content = events.SummaryMetadata("_hparams_/session_start_info").plugin_data.content
+    values = plugin_data_pb2.HParamsPluginData.FromString(content).session_start_info.hparams
+    return {name: getattr(value, value.WhichOneof("kind")) for name, value in values.items()}
+
+
+def test_tensorboard_has_the_mean_of_each_method(folder: ResultFolder, tmp_path: Path) -> None:
     cells = SETTINGS.design().cells()
-    write_tensorboard(folder, cells, tmp_path)
+    for _ in range(2):
+        write_tensorboard(folder, cells, tmp_path)  # the second time in the place of the first
+    written = [path.parent.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("events.*")]
+    assert sorted(written) == [f"{system}/Method_{n}/mean" for system in sorted(SETTINGS.systems) for n in (1, 2, 7)]
+    events = scalars(tmp_path / LAKE / "Method_7" / "mean")
+    labels = {"system": LAKE, "method": "Method 7"}
+    runs = [folder.read(cell) for cell in cells if cell.labels.items() >= labels.items()]
+    returns = np.array([run["returns"][0] for run in runs])
+    steps = np.array([run["lengths"][0].sum() for run in runs])
+    last = events.Scalars("rollout/ep_rew_mean")[-1]
+    assert last.value == pytest.approx(returns[:, -100:].mean()) and last.step == round(steps.mean())
+    mus = [run["mu"][0][-1] for run in runs]
+    assert events.Scalars("train/learning_rate")[-1].value == pytest.approx(np.mean(mus))
+    values = hparams(events)
+    assert (values["algorithm"], values["method"], values["runs"]) == ("TabularQ", "method7", 2.0)
+    assert (values["gamma"], values["μ/change"], values["total_episodes"]) == (0.99, 0.005, 150.0)
+    assert "seed" not in values
+
+
+def test_tensorboard_has_each_run_where_asked(folder: ResultFolder, tmp_path: Path) -> None:
+    cells = SETTINGS.design().cells()
+    write_tensorboard(folder, cells, tmp_path, every_run=True)
     runs = sorted(path.parent for path in tmp_path.rglob("events.*"))
     assert len(runs) == 12
     (written,) = (tmp_path / LAKE / "Method_7").glob("run-00001-*")
@@ -166,13 +195,11 @@ def test_tensorboard_has_each_run_with_its_parameters(folder: ResultFolder, tmp_
     assert last.value == pytest.approx(data["returns"][-100:].mean()) and last.step == data["lengths"].sum()
     assert events.Scalars("train/learning_rate")[-1].value == pytest.approx(data["mu"][-1])
     assert 100 <= len(events.Scalars("rollout/exploration_rate")) <= 200
-    tag = "_hparams_/session_start_info"
-    content = plugin_data_pb2.HParamsPluginData.FromString(events.SummaryMetadata(tag).plugin_data.content)
-    hparams = content.session_start_info.hparams
-    assert hparams["method"].string_value == "Method 7" and hparams["step"].number_value == 0.005
-    assert hparams["gamma"].number_value == 0.99 and hparams["seed"].number_value == data["seed"]
+    values = hparams(events)
+    assert values["method"] == "method7" and values["μ/change"] == 0.005
+    assert values["gamma"] == 0.99 and values["seed"] == data["seed"]
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    write_tensorboard(folder, cells, tmp_path)
+    write_tensorboard(folder, cells, tmp_path, every_run=True)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 

@@ -207,7 +207,7 @@ def test_folder_of_another_version_is_refused(name: str, tmp_path: Path, capsys:
     data["versions"][name] = "0.0.1"
     design.write_text(yaml.safe_dump(data))
     assert main([*SMALL_OPTIONS, "--output", str(tmp_path / "study")]) == 2
-    assert f"begun with another version: {name} is 0.0.1 there" in capsys.readouterr().err
+    assert f"started with other versions: {name} is 0.0.1 there" in capsys.readouterr().err
 
 
 def test_digest_is_of_the_modules_that_a_run_goes_through() -> None:
@@ -217,6 +217,13 @@ def test_digest_is_of_the_modules_that_a_run_goes_through() -> None:
         imports = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]
         names = {node.module.rpartition(".")[2] for node in imports if (node.module or "").startswith(experiments.__name__)}
         assert names <= {*versions.OF_A_RUN, "errors", "versions"}, path
+
+
+def test_digest_looks_at_what_is_executed() -> None:
+    """Other words about a module's functions change no number; another number does."""
+    source = 'def half(x):\n    """Halve."""\n    return x / 2.0  # exact\n'
+    assert versions.code_of(source) == versions.code_of(source.replace("exact", "so it is").replace("Halve.", "Take half."))
+    assert versions.code_of(source) != versions.code_of(source.replace("2.0", "3.0"))
 
 
 def test_full_disk_ends_the_study_with_whole_files_only(

@@ -117,7 +117,7 @@ def test_cells_of_another_league_have_other_names() -> None:
         cell for place in ((0, 0, 0), (0, 1, 0), (1, 0, 0), (0, 0, 1)) for cell in cells_of(SMALL, track, place, "tuning")
     ]
     cells += cells_of(SMALL, track, (0, 0, 0), "evaluation")
-    assert len({cell.key for cell in cells}) == len(cells) == 4 + 4
+    assert len({cell.key for cell in cells}) == len(cells) == 4 * 2 + 20
     quick = LeagueSettings(tracks=("B",), methods=SMALL.methods, environments=SMALL.environments, quick=True)
     assert cells_of(quick, track_of(quick, "B"), (0, 0, 0), "tuning")[0].key != cells[0].key
 
@@ -129,7 +129,7 @@ def test_cells_do_not_depend_on_what_else_takes_part() -> None:
     place = ([rule.label for rule in together.contestants].index("autostep"), 3, 1)
     second = cells_of(more, together, place, "evaluation")
     assert alone.contestants[2].label == "autostep"
-    assert [cell.key for cell in first] == [cell.key for cell in second][:4] and len(second) == 8
+    assert [cell.key for cell in first] == [cell.key for cell in second][:20] and len(second) == 40
 
 
 def test_references_always_take_part() -> None:
@@ -232,6 +232,7 @@ def test_environment_without_a_reference_is_judged_by_rollouts_on_a_scale() -> N
         (["--scale", "taxi=8,1"], "low below high"),
         (["--scale", "taxy=1,8"], "Did you mean 'taxi'"),
         (["--sweep", "alpha"], "A sweep is name=value,value"),
+        (["--sweep", "alpha=0.1,0.2"], "The sweep of alpha would change nothing"),
         (["--quik"], "Perhaps you meant: --quick"),
         (["--config", "/does/not/exist.yml"], "Cannot read"),
     ],

@@ -17,7 +17,7 @@ from packaging.utils import canonicalize_name
 PROJECT = Path(__file__).resolve().parent.parent
 # Tests and benchmarks are copied too: that they stay out of the wheel is one of the things to be shown.
 SOURCES = ["pyproject.toml", "README.md", "LICENSE", "train.py", "sb3_adaptive_q", "wrappers", "tests", "benchmarks"]
-EXTRAS = {"zoo", "study", "plots", "dask", "dev"}
+EXTRAS = {"zoo", "zoo-plots", "study", "plots", "dask", "docs", "dev"}
 HEAVY = {
     "arch",
     "dask",
@@ -95,7 +95,7 @@ def test_wheel_holds_the_package_data(wheel: zipfile.ZipFile) -> None:
         "sb3_adaptive_q/py.typed",
         "wrappers/py.typed",
         "sb3_adaptive_q/version.txt",
-        "sb3_adaptive_q/hyperparams/tabular_q.yml",
+        "sb3_adaptive_q/hyperparams/tabular.yml",
     }
     data |= {
         path.relative_to(PROJECT).as_posix()

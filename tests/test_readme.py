@@ -19,7 +19,8 @@ def blocks_of(path: Path) -> list[str]:
 
 BLOCKS = [
     (path.name, i, block)
-    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    if path.parent.name != "generated"
     for i, block in enumerate(blocks_of(path))
 ]
 

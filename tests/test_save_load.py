@@ -419,7 +419,7 @@ class TestLoad:
     def test_what_the_zoo_puts_in_on_loading(self, tmp_path):
         TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0).learn(500).save(tmp_path / "model")
         replaced = {"learning_rate": 0.0, "lr_schedule": lambda _: 0.0, "clip_range": lambda _: 0.0}
-        loaded = TabularQ.load(tmp_path / "model", env=make_lake(), custom_objects=replaced, buffer_size=1)
+        loaded = TabularQ.load(tmp_path / "model", env=make_lake(), custom_objects=replaced)
         assert loaded.learning_rate == 0.0 and not hasattr(loaded, "clip_range")
         table = loaded.q_table.copy()
         np.testing.assert_array_equal(loaded.learn(200).q_table, table)

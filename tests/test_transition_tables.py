@@ -179,7 +179,7 @@ class TestDrawing:
             tables.append((list(expected.values()), [counts[outcome] for outcome in expected]))
         check_frequencies(*tables)
 
-    def test_whole_stretches_follow_the_table(self):
+    def test_whole_rollouts_follow_the_table(self):
         """Episodes of one step that tell by their return which outcome was drawn."""
         probabilities = [0.5, 0.05, 0.0, 0.2, 0.25]
         env = TableEnv([[[(p, 0, float(i), True) for i, p in enumerate(probabilities)]]], [1.0])
@@ -187,7 +187,7 @@ class TestDrawing:
         assert len(returns) == 400_000
         check_frequencies((probabilities, np.bincount(returns.astype(int), minlength=5)))
 
-    def test_whole_stretches_follow_the_initial_distribution(self):
+    def test_whole_rollouts_follow_the_initial_distribution(self):
         """The first state is what an episode returns."""
         probabilities = [0.1, 0.0, 0.6, 0.3]
         env = TableEnv([[[(1.0, 0, float(state), True)]] for state in range(4)], probabilities)

@@ -1,5 +1,6 @@
-"""What RL Zoo is given: the algorithm, its search space, its hyperparameters by environment."""
+"""What RL Zoo is given: the algorithms, their search spaces, their hyperparameters by environment."""
 
+import inspect
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,8 @@ from hypothesis import given, strategies as st
 from optuna.trial import FixedTrial
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 
-from sb3_adaptive_q import METHODS, TabularQ, zoo
+from sb3_adaptive_q import ALGORITHMS, METHODS, TabularAlgorithm, TabularQ, search_space, zoo
+from sb3_adaptive_q.envs import PROBLEMS
 
 CONFIG: dict[str, dict[str, Any]] = yaml.safe_load(zoo.CONFIG.read_text())
 
@@ -32,15 +34,36 @@ SEARCH_SPACE = st.fixed_dictionaries(
 )
 
 
-def sample(trial: Any) -> dict[str, Any]:
-    return zoo.sample_hyperparameters(trial, n_actions=0, n_envs=1, additional_args={})
+def sample(trial: Any, algorithm: str = "tabular_q") -> dict[str, Any]:
+    return search_space.sampler_of(algorithm)(trial, n_actions=0, n_envs=1, additional_args={})
 
 
-def test_register() -> None:
-    zoo.register()
-    assert rl_zoo3.ALGOS["tabular_q"] is TabularQ
-    assert HYPERPARAMS_SAMPLER["tabular_q"] is zoo.sample_hyperparameters
-    assert HYPERPARAMS_CONVERTER["tabular_q"] is zoo.convert_hyperparameters
+def ask(algorithm: str, n_trials: int) -> list[tuple[optuna.Trial, dict[str, Any]]]:
+    """Trials that are drawn at random, with what is drawn for each."""
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
+    trials = [study.ask() for _ in range(n_trials)]
+    return [(trial, sample(trial, algorithm)) for trial in trials]
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+class TestAlgorithms:
+    def test_register(self, name: str) -> None:
+        zoo.register()
+        assert rl_zoo3.ALGOS[name] is ALGORITHMS[name]
+        (trial, _), *_ = ask(name, 1)
+        sampled = HYPERPARAMS_SAMPLER[name](trial, 0, 1, {})  # type: ignore[operator]
+        assert HYPERPARAMS_CONVERTER[name](trial.params) == sampled  # type: ignore[operator]
+
+    def test_a_search_draws_what_the_constructor_takes(self, name: str) -> None:
+        """All its own arguments but for the precision of traces; and RL Zoo prints them for the best trial."""
+        drawn = set()
+        for trial, sampled in ask(name, 30):
+            model = ALGORITHMS[name]("MlpPolicy", "FrozenLake-v1", **sampled)
+            assert {argument: getattr(model, argument) for argument in sampled} == sampled == trial.user_attrs
+            drawn |= set(sampled)
+        own, shared = (set(inspect.signature(each).parameters) for each in (ALGORITHMS[name], TabularAlgorithm))
+        others = {"method", "method_kwargs", "gamma", "exploration_fraction", "exploration_final_eps"}
+        assert drawn == others | (own - shared - {"args", "kwargs", "trace_threshold"})
 
 
 @given(params=SEARCH_SPACE)
@@ -52,13 +75,12 @@ def test_every_sample_makes_a_model(params: dict[str, Any]) -> None:
     assert 0.0 < model.mu <= 1.0
     assert model.gamma == 1.0 - params["one_minus_gamma"]
     # What a study stores are the numbers drawn: with `--trial-id` RL Zoo converts them again
-    assert zoo.convert_hyperparameters(params) == sampled
+    assert search_space.convert(params) == sampled
 
 
 def test_sample_covers_the_methods() -> None:
     """Every method but 2, which is 1 with another constant, and each with the paper's own parameters in reach."""
-    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-    drawn = {sample(study.ask())["method"] for _ in range(100)}
+    drawn = {sampled["method"] for _, sampled in ask("tabular_q", 100)}
     assert drawn == set(METHODS) - {2}
 
 
@@ -125,6 +147,14 @@ def test_config_entries_are_complete(env_id: str) -> None:
     assert env_id == "default" or gym.spec(env_id).max_episode_steps is not None
 
 
+def test_config_agrees_with_the_catalogue() -> None:
+    """The discount factors are those of the problems, and so are the start values where they are given."""
+    for problem in PROBLEMS.values():
+        if problem.env_id in CONFIG and not problem.arguments:
+            entry = CONFIG[problem.env_id]
+            assert (entry["gamma"], entry.get("initial_q", 0.0)) == (problem.gamma, problem.initial_q), problem
+
+
 @pytest.mark.parametrize("env_id", ["CartPoleFriction-v0", "CartPole-v1"])
 def test_cart_pole_has_the_papers_grid(env_id: str) -> None:
     (wrapper,) = CONFIG[env_id]["env_wrapper"]
@@ -138,7 +168,7 @@ def test_cart_pole_has_the_papers_grid(env_id: str) -> None:
 def test_describe() -> None:
     """Mean 2, sample variance ((-1)² + 0² + 1²) / 2 = 1, so a standard error of 1 / √3 = 0.577."""
     assert zoo.describe([1.0, 2.0, 3.0]) == "mean reward 2.00 ± 0.58 (standard error)"
-    assert zoo.describe([]) == zoo.describe([1.0]) == "too few to tell"
+    assert zoo.describe([]) == zoo.describe([1.0]) == "fewer than two episodes"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What the numbers of an experiment depend on beside its design: versions of libraries, and the package's own source."""
 
+import ast
 import hashlib
 import platform
 import subprocess
@@ -14,8 +15,12 @@ from sb3_adaptive_q.experiments.names import source_digests
 
 PACKAGE = Path(sb3_adaptive_q.__file__).parent
 LIBRARIES = ("stable_baselines3", "gymnasium", "numpy", "numba", "torch", "scipy", "pandas", "pyarrow")
+#: Modules beside ``experiments`` that take no part in a run
+OF_NO_RUN = ("__main__", "listing", "plots/", "table_image", "zoo")
+#: What may have a docstring
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 #: The modules of ``experiments`` that take part in a run; the others come after it, and may change without any effect on it
-OF_A_RUN = ("cells", "environments", "episodes", "learners", "judges", "names", "measures")
+OF_A_RUN = ("cells", "environments", "episodes", "learners", "judges", "greedy_episodes", "names", "measures")
 
 
 @cache
@@ -29,14 +34,26 @@ def versions() -> dict[str, str]:
 
 def package_digest() -> str:
     """
-    :return: a digest of the source of all that a run goes through
+    :return: a digest of the source of all that a run goes through, whatever its comments and docstrings say
     """
     digest = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         name = path.relative_to(PACKAGE).as_posix()
-        if not name.startswith("experiments/") or path.stem in OF_A_RUN:
-            digest.update(name.encode() + b"\0" + path.read_bytes())
+        if path.stem in OF_A_RUN if name.startswith("experiments/") else not name.startswith(OF_NO_RUN):
+            digest.update(f"{name}\0{code_of(path.read_text(encoding='utf-8'))}".encode())
     return digest.hexdigest()
+
+
+def code_of(source: str) -> str:
+    """
+    :param source: of a module
+    :return: what of it is executed, as text: without comments and docstrings
+    """
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            del node.body[0]
+    return ast.dump(tree)
 
 
 def check_worker(wanted: Mapping[str, str], names: Iterable[str]) -> None:

@@ -63,6 +63,7 @@ class CompiledRollout(StepRollout):
         loop = make_loop(self.choices.learn_one(), *self.dynamics.loop_functions())
         record = (np.zeros(0, loops.EPISODE), np.zeros((0, len(self.envs)), dtype=bool))
         try:
+            self._check_own_functions()
             self._loop = machine_code(loop, self._arguments(record))
         except CannotCompile as error:
             raise ValueError(

@@ -74,15 +74,33 @@ class StepRollout:
     def _compile(self) -> None:
         function = self.choices.update_loop()
         try:
+            self._check_own_functions()
             arguments = (self.tables, self.memory, self.learner, self.draws, _EXAMPLE, 0, self.considered)
             self._update = self._in_python(function) if is_disabled() else machine_code(function, arguments)
         except CannotCompile as error:
             warnings.warn(f"{self.model.own_functions()} runs as Python, which is slower: {error}.", stacklevel=5)
             self._update = self._in_python(function)
 
+    def _check_own_functions(self) -> None:
+        if self.model._method is not None and not is_disabled():
+            self.model._method.check_functions()
+
     def _in_python(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The update as Python runs it. What a rule raises leaves the table as it was, as far as one entry is changed."""
         self.learner = self.learner.view(np.recarray)  # whose fields Python reads by their names, as machine code does
-        return as_python(function)
+        run, table = as_python(function), self.tables[0]
+
+        def update(tables: Any, memory: Any, learner: Any, draws: Any, transition: Any, env: int, considered: Any) -> int:
+            entry = transition[:2]
+            value = table[entry]
+            try:
+                return run(tables, memory, learner, draws, transition, env, considered)
+            except BaseException:
+                if self.model.updates_one_entry:
+                    table[entry] = value
+                raise
+
+        return update
 
     def advance(self) -> None:
         """

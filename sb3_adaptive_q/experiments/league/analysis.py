@@ -33,8 +33,8 @@ from sb3_adaptive_q.experiments.statistics import (
     share_near_best,
 )
 
-#: Checkpoints whose mean is the final score
-FINAL = 3
+#: The share of the checkpoints whose mean is the final score: 3 of 25
+FINAL = 0.12
 #: The kind of environments whose rules change: they have no end to be judged at
 MOVING = "moving"
 
@@ -140,12 +140,16 @@ def collect(track: Track, chosen: np.ndarray, runs: Places) -> Scores:
     curves = stack(lambda each, k: _checkpoint_scores(track, each, scale[k]), every)
     return Scores(
         anytime=stack(lambda each, k: anytime(track, each, scale[k]), every),
-        final=stack(lambda each, k: anytime(track, each._replace(scores=each.scores[:, -FINAL:]), scale[k]), has_end),
+        final=stack(lambda each, k: anytime(track, each._replace(scores=_last(each.scores)), scale[k]), has_end),
         online=np.clip(online[..., np.isfinite(online).all(axis=(0, 1))], *CLIP),
         curves=np.moveaxis(curves, 2, 0),
         failures=np.array([[len(each.failures) for each in row] for row in picked]),
         settings=chosen,
     )
+
+
+def _last(scores: np.ndarray) -> np.ndarray:
+    return scores[:, -max(round(FINAL * scores.shape[1]), 1) :]
 
 
 def _checkpoint_scores(track: Track, runs: Runs, scale: float) -> np.ndarray:

@@ -1,14 +1,12 @@
 """How good a table is: by dynamic programming where there is a transition table, by rollouts elsewhere."""
 
-import threading
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_adaptive_q import EpisodeSeriesCallback, TabularQ
-from sb3_adaptive_q.experiments.environments import reused_vec_env
+from sb3_adaptive_q.experiments.league.greedy_episodes import player
 from sb3_adaptive_q.planning import (
     Reference,
     TabularModel,
@@ -21,11 +19,7 @@ from sb3_adaptive_q.planning import (
     value_iteration,
 )
 
-#: Episodes of a greedy policy where it is judged by rollouts, and the seed that they always have
-ROLLOUTS, ROLLOUT_SEED = 20, 20_000
-
 _of_process: dict[Any, Any] = {}
-_of_thread = threading.local()
 
 
 class Judge(NamedTuple):
@@ -52,8 +46,12 @@ def control_judge(recipe: Mapping[str, Any], arguments: dict[str, Any], env: Vec
     gamma = recipe["learner"]["settings"]["gamma"]
     if recipe["scale"]:
         low, high = recipe["scale"]
-        rollouts = _Rollouts(recipe["learner"]["environment"], arguments, low, high)
-        return Judge(rollouts.score, lambda returns: (returns.mean() - low) / (high - low), (high - low) / (1.0 - gamma))
+        play = player(recipe["learner"]["environment"], arguments)
+
+        def score_of(returns: np.ndarray) -> float:
+            return float((returns.mean() - low) / (high - low))
+
+        return Judge(lambda table, step: score_of(play(table)), score_of, (high - low) / (1.0 - gamma))
     greedy = _GreedyReturn(recipe, arguments, env, gamma)
     return Judge(greedy.score, greedy.online, greedy.largest_value)
 
@@ -87,7 +85,7 @@ class _GreedyReturn:
 
     def _reference(self, step: int) -> Reference:
         key = (*self.key, "reference", phase_at(self.environment, step))
-        return kept(key, lambda: reference(self.environment, gamma=self.gamma, horizon=self.horizon, step=step))
+        return kept(key, lambda: reference(self.environment, gamma=self.gamma, horizon=self.horizon, step=last_of(step)))
 
     def _ends(self, step: int) -> tuple[float, float]:
         return kept((*self.key, "online", phase_at(self.environment, step)), lambda: self._undiscounted(step))
@@ -102,32 +100,6 @@ class _GreedyReturn:
             )
         except ValueError:
             return np.nan, np.nan
-
-
-class _Rollouts:
-    """The mean return of the greedy policy over episodes that start alike each time."""
-
-    def __init__(self, environment: str, arguments: dict[str, Any], low: float, high: float) -> None:
-        self.low, self.high = low, high
-        self.player = _player(environment, arguments)
-
-    def score(self, table: np.ndarray, step: int) -> float:
-        series = EpisodeSeriesCallback()
-        self.player.q_table[:] = table
-        self.player.set_random_seed(ROLLOUT_SEED)
-        self.player.learn(2**60, callback=series, log_interval=None)
-        return float((series.returns.mean() - self.low) / (self.high - self.low))
-
-
-def _player(environment: str, arguments: dict[str, Any]) -> TabularQ:
-    """A model that plays greedily and learns nothing, in an environment of its own; one for each thread."""
-    made: dict[Any, TabularQ] = _of_thread.__dict__
-    key = str((environment, sorted(arguments.items())))
-    if key not in made:
-        env = reused_vec_env(environment, purpose="rollouts", **arguments)
-        still: dict[str, Any] = {"learning_rate": 0.0, "exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
-        made[key] = TabularQ("MlpPolicy", env, total_episodes=ROLLOUTS, ties="first", **still)
-    return made[key]
 
 
 def estimation_judge(recipe: Mapping[str, Any], arguments: dict[str, Any], env: VecEnv) -> Judge:
@@ -212,18 +184,27 @@ def phase_at(environment: Any, step: int) -> int:
     """
     :param environment: without its wrappers
     :param step: the number of steps so far
-    :return: a number that is the same where the same rules hold
+    :return: a number that is the same where the last of these steps was made under the same rules
     """
-    return environment.phase_at(step) if hasattr(environment, "phase_at") else 0
+    return environment.phase_at(last_of(step)) if hasattr(environment, "phase_at") else 0
 
 
 def model_at(environment: Any, step: int) -> TabularModel:
     """
     :param environment: without its wrappers
     :param step: the number of steps so far
-    :return: the rules that hold then
+    :return: the rules under which the last of these steps was made
     """
-    return TabularModel.of(environment.table_at(step) if hasattr(environment, "table_at") else environment)
+    return TabularModel.of(environment.table_at(last_of(step)) if hasattr(environment, "table_at") else environment)
+
+
+def last_of(steps: int) -> int:
+    """
+    :param steps: a number of steps
+    :return: the number of steps before the last of them. Rules may change at a checkpoint: what was learned until then is
+        judged by the rules that it was learned under, as nobody can follow a change before the first step after it
+    """
+    return max(steps - 1, 0)
 
 
 def largest_value(environment: Any, gamma: float) -> float:

@@ -109,7 +109,8 @@ def _run(learner: Learner, recipe: Mapping[str, Any], seed: int, make_judge: Mak
     judge = make_judge(recipe, arguments, env)
     interval = recipe["steps"] // recipe["checkpoints"]
     checkpoints, episodes = Checkpoints(judge, interval), EpisodeSeriesCallback()
-    settings = {**learner.settings, "callback_interval": interval}
+    # Nobody reads the window of the last episodes, which is filled at every checkpoint
+    settings = {**learner.settings, "callback_interval": interval, "stats_window_size": 1}
     model, method = learner._replace(settings=settings).make(seed, env)
     failure = _learn(model, interval * recipe["checkpoints"], [method, checkpoints, episodes]) or checkpoints.failure
     scores = np.full(recipe["checkpoints"], judge.nothing_learned)

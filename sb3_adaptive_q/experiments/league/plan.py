@@ -42,12 +42,17 @@ def cells_of(settings: LeagueSettings, track: Track, place: tuple[int, int, int]
     :return: the cells that run it
     """
     rule, setting, task = track.contestants[place[0]], place[1], track.tasks[place[2]]
-    return [_cell(track, rule, rule.settings[setting], task, seeds) for seeds in settings.seeds(phase)]
+    learner = _learner(track, rule, rule.settings[setting], task)
+    return [_cell(settings, track, (rule, task), learner, seeds) for seeds in settings.seeds(phase)]
 
 
-def _cell(track: Track, rule: Contestant, parameters: dict[str, Any], task: Task, seeds: list[int]) -> Cell:
+def _learner(track: Track, rule: Contestant, parameters: dict[str, Any], task: Task) -> Learner:
     behaviour = {**track.behaviour, "gamma": task.gamma, "initial_q": task.initial_q}
-    learner = Learner(task.environment, rule.algorithm, rule.method, parameters, behaviour)
+    return Learner(task.environment, rule.algorithm, rule.method, parameters, behaviour)
+
+
+def _cell(settings: LeagueSettings, track: Track, who: tuple[Contestant, Task], learner: Learner, seeds: list[int]) -> Cell:
+    rule, task = who
     recipe = {
         "league": league_data()["version"],
         "learner": learner._asdict(),
@@ -55,11 +60,11 @@ def _cell(track: Track, rule: Contestant, parameters: dict[str, Any], task: Task
         "instances": task.instances,
         "scale": task.scale,
         "steps": task.steps,
-        "checkpoints": league_data()["checkpoints"],
+        "checkpoints": settings.checkpoints,
         "seeds": seeds,
         "sources": source_digests(learner.names()),
     }
-    labels = {"environment": task.name, "rule": rule.label, "setting": _setting_text(parameters)}
+    labels = {"environment": task.name, "rule": rule.label, "setting": _setting_text(learner.parameters)}
     return Cell(track.measure, recipe, learner.names(), labels, cost=task.steps * len(seeds))
 
 

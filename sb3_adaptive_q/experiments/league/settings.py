@@ -28,7 +28,8 @@ from sb3_adaptive_q.experiments.names import (
 MEASURES = "sb3_adaptive_q.experiments.league.measures:measure_"
 TRACKS = ("A", "B", "C", "algorithms")
 #: What only selects among the cells, and may differ from one start of a league to the next
-SELECTION = ("tracks", "methods", "environments", "algorithm", "runs", "sweep", "scale", "resamples")
+SELECTION = ("tracks", "methods", "environments", "algorithm", "runs", "tuning_runs", "sweep", "scale", "resamples")
+GYMNASIUM_ID = "An id that gymnasium knows or `module:name` will do too."
 #: The kind of an environment that the league does not know
 OWN_KIND = "your own"
 
@@ -105,12 +106,15 @@ class LeagueSettings:
     """
     What is compared. Without options it is the league itself: every rule in every environment, on all tracks.
 
-    :param tracks: A estimation, B control, C prediction; algorithms repeats B for other algorithms with four rules
+    :param tracks: A estimation, B control, C prediction; algorithms repeats B for other algorithms with four rules; all of
+        them if not given, of a quick look B alone
     :param methods: rules: numbers, names, or module:name of a class; constant and polynomial always take part
     :param environments: of tracks A and B: names, ids, or module:name of a function that makes one
     :param algorithm: of tracks A, B and C: a name, or module:name of a class
     :param runs: evaluated runs of every rule in every environment
-    :param quick: four settings of each rule, 5 runs to tune, 20 to evaluate and a tenth of the steps, for a first look
+    :param tuning_runs: runs of every setting that the choice of a setting rests on
+    :param quick: four settings of each rule, 5 runs to tune, 20 to evaluate, a tenth of the steps and 5 checkpoints, for a
+        first look
     :param sweep: name=value,value,... is the grid of a parameter of a rule of your own; can be given several times
     :param scale: environment=low,high are the mean returns of the uniform and of a good policy, for an environment without a
         transition table: its policies are judged by rollouts; can be given several times
@@ -120,11 +124,12 @@ class LeagueSettings:
     :raises DesignError: if one of these is out of range
     """
 
-    tracks: tuple[str, ...] = ("A", "B", "C", "algorithms")
+    tracks: tuple[str, ...] | None = None
     methods: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--method"])] = tuple(league_data()["grids"])
     environments: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--env"])] = tuple(league_data()["environments"])
     algorithm: str = "tabular_q"
     runs: int = league_data()["evaluation"]["runs"]
+    tuning_runs: int = league_data()["tuning"]["runs"]
     quick: bool = False
     sweep: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     scale: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -133,10 +138,10 @@ class LeagueSettings:
     resamples: int = 2000
 
     def __post_init__(self) -> None:
-        for name in ("tracks", "methods", "environments"):
-            check_selection(name, getattr(self, name))
+        for name, values in (("tracks", self.names_of_tracks), ("methods", self.methods), ("environments", self.environments)):
+            check_selection(name, values)
         check_options(self, LEAGUE)
-        for name in self.tracks:
+        for name in self.names_of_tracks:
             if name not in TRACKS:
                 raise unknown_name("track", name, TRACKS)
         for name in self._scales():
@@ -144,6 +149,19 @@ class LeagueSettings:
                 raise unknown_name("environment of a scale", name, self.environments)
         for text in self.sweep:
             parse_sweep(text)
+
+    @property
+    def names_of_tracks(self) -> Sequence[str]:
+        """The tracks that are played."""
+        if self.tracks is not None:
+            return self.tracks
+        return tuple(league_data()["quick"]["tracks"]) if self.quick else TRACKS
+
+    @property
+    def checkpoints(self) -> int:
+        """How often a table is judged in the course of a run, at equal distances."""
+        data = league_data()
+        return int(data["quick"]["checkpoints"] if self.quick else data["checkpoints"])
 
     def as_data(self) -> dict[str, Any]:
         """
@@ -157,7 +175,7 @@ class LeagueSettings:
         :return: the seeds, in groups that are run and stored together
         """
         data = league_data()
-        runs = data["tuning"]["runs"] if phase == "tuning" else self.runs
+        runs = self.tuning_runs if phase == "tuning" else self.runs
         if self.quick:
             runs = min(runs, data["quick"]["tuning_runs" if phase == "tuning" else "runs"])
         seeds = range(data[phase]["first"], data[phase]["first"] + runs)
@@ -170,6 +188,7 @@ class LeagueSettings:
         :raises DesignError: if a name is unknown, or an environment cannot be judged
         """
         data = league_data()
+        self._check_sweeps()
         tasks = [self._task(name) for name in self.environments]
         rules = tuple(self._contestant(name) for name in dict.fromkeys((*data["references"], *self.methods)))
         still = tuple(task for task in tasks if self._check_judged(task))
@@ -180,7 +199,7 @@ class LeagueSettings:
             "C": Track("C", f"{MEASURES}prediction", data["uniform"], predictions, rules),
             "algorithms": Track("algorithms", f"{MEASURES}control", data["control"], tuple(tasks), self._of_algorithms()),
         }
-        return [tracks[name] for name in TRACKS if name in self.tracks and tracks[name].tasks]
+        return [tracks[name] for name in TRACKS if name in self.names_of_tracks and tracks[name].tasks]
 
     def _task(self, name: str) -> Task:
         data = league_data()
@@ -188,7 +207,7 @@ class LeagueSettings:
         if known:
             return self._known_task(name, known)
         if not is_import_path(name) and name not in gym.registry:
-            raise unknown_name("environment", name, [*data["environments"], *data["more_environments"], *gym.registry])
+            raise unknown_name("environment", name, [*data["environments"], *data["more_environments"]], GYMNASIUM_ID)
         return Task(name, name, OWN_KIND, self._budget(self.steps), self.gamma, scale=self._scales().get(name))
 
     def _known_task(self, name: str, known: Mapping[str, Any]) -> Task:
@@ -208,6 +227,16 @@ class LeagueSettings:
     def _budget(self, steps: int) -> int:
         data = league_data()
         return steps // data["quick"]["steps_divided_by"] if self.quick else steps
+
+    def _check_sweeps(self) -> None:
+        own = [method for method in self.methods if method not in league_data()["grids"]]
+        taken = sorted(set().union(*map(method_parameters, own)))
+        for name, _ in map(parse_sweep, self.sweep):
+            if name not in taken:
+                raise DesignError(
+                    f"The sweep of {name} would change nothing: the rules of the league have grids of their own, and "
+                    f"{'your rules take ' + ', '.join(taken) if taken else 'no other rule is among the methods'}."
+                )
 
     def _scales(self) -> dict[str, tuple[float, float]]:
         scales = {}

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -19,15 +20,17 @@ class StudyOptions:
     """
     Repeat the paper's experiment: its tables and figures beside the paper's, and its claims judged.
 
-    A study that was interrupted goes on when it is started again with the same output folder. --config FILE takes options from
-    a YAML file, such as the design.yml that a study leaves; options override it.
+    An interrupted study continues when it is started again with the same output folder. --config FILE reads options from a
+    YAML file, such as the design.yml that a study writes; options of the command line override it.
 
-    :param tensorboard: folder to write every run to as well; TensorBoard's HPARAMS page compares them
+    :param tensorboard: also write TensorBoard logs to this folder; TensorBoard's HPARAMS page compares them
+    :param tensorboard_runs: what to write there: mean, one log a method, its mean over the runs; or all, one log a run
     """
 
     design: tyro.conf.OmitArgPrefixes[StudySettings] = field(default_factory=StudySettings)
     execution: tyro.conf.OmitArgPrefixes[Execution] = field(default_factory=lambda: Execution(output=Path("study-results")))
     tensorboard: Path | None = None
+    tensorboard_runs: Literal["mean", "all"] = "mean"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def study() -> None:
         options = parse(StudyOptions, "python -m sb3_adaptive_q study", sys.argv[1:] if arguments is None else arguments)
-        print(run_study(options.design, options.execution, options.tensorboard))
+        print(run_study(options.design, options.execution, options.tensorboard, options.tensorboard_runs == "all"))
         print(f"\nThe report, the tables and the figures are in {options.execution.output}: open report.html first.")
 
     return report_errors(study)

@@ -16,13 +16,14 @@ from sb3_adaptive_q.experiments.storage import ResultFolder
 from sb3_adaptive_q.experiments.text import file_name
 
 
-def run_study(settings: StudySettings, execution: Execution, tensorboard: Path | None = None) -> str:
+def run_study(settings: StudySettings, execution: Execution, tensorboard: Path | None = None, every_run: bool = False) -> str:
     """
     Run what is missing of a study, and write its tables, figures and report.
 
     :param settings: the design
     :param execution: how to carry it out
     :param tensorboard: the folder for TensorBoard's files; ``None`` for none
+    :param every_run: whether to write every run there, rather than the mean of each method's runs
     :return: the summary of the report
     :raises DesignError: if a name is unknown, a value out of range, or the folder belongs to something else
     :raises ExperimentError: if a worker dies, every run fails, or something cannot be stored
@@ -41,7 +42,7 @@ def run_study(settings: StudySettings, execution: Execution, tensorboard: Path |
     if tensorboard is not None:
         from sb3_adaptive_q.experiments.paper.tensorboard_log import write_tensorboard
 
-        write_tensorboard(folder, cells, tensorboard)
+        write_tensorboard(folder, cells, tensorboard, every_run)
     return report.partition("\n## ")[0]
 
 
