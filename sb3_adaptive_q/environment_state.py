@@ -23,6 +23,7 @@ from sb3_adaptive_q.envs import CartPoleFrictionEnv
 from sb3_adaptive_q.saved_values import path_of
 from sb3_adaptive_q.vec_env.compiled_env import CompiledEnv
 from sb3_adaptive_q.vec_env.dynamics import find_dynamics
+from sb3_adaptive_q.vec_env.summed_rewards import SummedRewards
 from sb3_adaptive_q.vec_env.tabular_dynamics import steps_by_table
 from sb3_adaptive_q.wrappers import DiscretizeObservation
 
@@ -143,7 +144,7 @@ def _access(layer: gym.Env, env: gym.Env) -> tuple[Callable[[], Any], Callable[[
         return get, put
     names = _state_names(layer)
     if names is not None:
-        return lambda: {name: getattr(layer, name) for name in names}, lambda state: _set(layer, names, state)
+        return lambda: {name: _as_data(getattr(layer, name)) for name in names}, lambda state: _set(layer, names, state)
     if not isinstance(layer, gym.Wrapper) and find_dynamics(layer) is not None:
         dynamics = CompiledEnv(env).dynamics
         return dynamics.read_state, dynamics.write_state
@@ -153,9 +154,14 @@ def _access(layer: gym.Env, env: gym.Env) -> tuple[Callable[[], Any], Callable[[
     )
 
 
+def _as_data(value: Any) -> Any:
+    return {"total": value.total, "count": value.count} if isinstance(value, SummedRewards) else value
+
+
 def _set(layer: gym.Env, names: tuple[str, ...], state: dict[str, Any]) -> None:
     for name in names:
-        setattr(layer, name, state[name])
+        value = state[name]
+        setattr(layer, name, SummedRewards(**value) if name == "rewards" and isinstance(value, dict) else value)
 
 
 def _state_names(layer: gym.Env) -> tuple[str, ...] | None:

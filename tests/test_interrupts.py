@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from helpers.both_paths import make_model
 
-from sb3_adaptive_q import LearningRateCallback
 
 #: With the environment variable, many more than in the suite
 N_INTERRUPTS = 400 if os.environ.get("EXHAUSTIVE") else 40
@@ -93,7 +92,47 @@ class TestInterrupts:
         assert np.isfinite(model.q_table).all()
 
 
+class TestWholeTransitions:
+    @pytest.mark.parametrize("compiled", [False, True])
+    def test_an_interrupt_leaves_what_so_many_transitions_leave(self, compiled, alarm, tmp_path):
+        """Found by a twin that a callback ends after as many updates."""
+        make_model("slippery lake", compiled, method="polynomial").learn(1000)
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        random.seed(0)
+        for seed in range(N_INTERRUPTS // 8):
+            model = make_model("slippery lake", compiled, method="polynomial", seed=seed)
+            with pytest.raises(KeyboardInterrupt):
+                alarm(random.uniform(0.005, 0.03))
+                model.learn(10**9)
+            learned = model._n_updates
+            twin = make_model("slippery lake", True, method="polynomial", seed=seed, callback_interval=learned + 1)
+            twin.learn(10**9, callback=lambda _locals, _globals: False)
+            assert twin._n_updates == learned
+            for name, array in model.policy.state_dict().items():
+                assert array.numpy().tobytes() == twin.policy.state_dict()[name].numpy().tobytes(), name
+            model.save(tmp_path / "model")
+            model.learn(100, reset_num_timesteps=False)
+
+
 class TestOneTrainingAtATime:
+    @pytest.mark.parametrize("compiled", [False, True])
+    def test_another_model_may_learn_in_a_callback(self, compiled):
+        """Both end as they would alone."""
+
+        def learn(model, callback=None):
+            return model.learn(1000, callback=callback, reset_num_timesteps=False)
+
+        def make(seed):
+            return make_model("slippery lake", compiled, method=7, seed=seed, callback_interval=500)
+
+        outer, inner = make(1), make(2)
+        learn(outer, lambda found, _: outer.num_timesteps % 500 > 0 or learn(inner) is inner)
+        alone = learn(learn(make(2)))
+        assert inner.num_timesteps == 2000
+        for ours, theirs in ((outer, learn(make(1))), (inner, alone)):
+            assert ours.q_table.tobytes() == theirs.q_table.tobytes()
+            assert ours.training.as_data() == theirs.training.as_data()
+
     @pytest.mark.parametrize("compiled", [False, True])
     def test_learn_in_a_callback_is_refused(self, compiled):
         model = make_model("slippery lake", compiled, callback_interval=100)
@@ -121,17 +160,3 @@ class TestOneTrainingAtATime:
 
         model.learn(3000, callback=callback)
         assert "learning already" in seen[0]
-
-
-class TestRulesThatFail:
-    @pytest.mark.parametrize("compiled", [False, True])
-    def test_an_interrupted_rule_leaves_whole_transitions(self, compiled, alarm):
-        class Half(LearningRateCallback):
-            @staticmethod
-            def rule(mu, step):
-                return 0.5
-
-        model = make_model("slippery lake", compiled)
-        model.learn(1000, callback=Half())
-        interrupt(model, alarm, 0.02)
-        assert model.mu == 0.5

@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sb3_adaptive_q import METHODS, STEP_SIZES, EpisodeSeriesCallback, TabularQ
+from sb3_adaptive_q.rollouts import step_rollout
 from sb3_adaptive_q.vec_env import compiled_vec_env
 
 N_CASES = int(os.environ.get("FUZZ_CASES", "200"))
@@ -53,7 +54,9 @@ def check_bounds(model, step_size):
     assert 0.0 <= state["mu"] <= 1.0
 
 
-def check_case(number, folder):
+def check_case(number, folder, patch):
+    """In most cases Python runs the ordinary path: machine code of its own takes as long to make as many cases to run."""
+    patch.setattr(step_rollout, "is_disabled", lambda: number % 5 > 0)
     case = make_case(number, PAIRS)
     steps = case.steps * case.n_envs
     ordinary = case.make_model(compiled=False)
@@ -87,9 +90,9 @@ def no_comparison(monkeypatch):
 
 @pytest.mark.usefixtures("no_comparison")
 @pytest.mark.parametrize("batch", range(math.ceil(N_CASES / BATCH)))
-def test_random_processes(batch, tmp_path):
+def test_random_processes(batch, tmp_path, monkeypatch):
     for number in range(batch * BATCH, min((batch + 1) * BATCH, N_CASES)):
-        check_case(number, tmp_path)
+        check_case(number, tmp_path, monkeypatch)
 
 
 def test_the_cases_go_through_everything():

@@ -13,8 +13,10 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import TimeLimit, TransformReward
 from helpers.algorithms import algorithms
+from helpers.both_paths import make_vec
 from helpers.environments import MarkovEnv, SampledEnv, Step
 from helpers.interrupted import (
+    Memory,
     Training,
     assert_goes_on,
     checkpoints,
@@ -26,6 +28,7 @@ from helpers.interrupted import (
 )
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
@@ -168,6 +171,41 @@ class TestBetweenTrainings:
                 each.learn(300, reset_num_timesteps=False)
             np.testing.assert_array_equal(resumed.q_table, model.q_table)
             assert resumed.training.as_data() == model.training.as_data()
+
+    def test_fifty_chunks_learn_as_much_as_one_training(self, tmp_path):
+        """No chunk draws the random numbers of another: about as many pairs are learned, and not as few as in one chunk."""
+        arguments = {"seed": 0, "exploration_final_eps": 1.0, "learning_rate": 0.5}
+        whole = TabularQ("MlpPolicy", "Taxi-v4", **arguments).learn(10_000)
+        model = TabularQ("MlpPolicy", "Taxi-v4", **arguments).learn(200)
+        for _ in range(49):
+            model.save(tmp_path / "model")
+            model = TabularQ.load(tmp_path / "model", env="Taxi-v4").learn(200, reset_num_timesteps=False)
+        assert model.num_timesteps == 10_000
+        assert np.count_nonzero(model.q_table) > 0.8 * np.count_nonzero(whole.q_table)
+
+    @PATHS
+    def test_counters_beyond_32_and_64_bits(self, tmp_path, compiled):
+        model = TabularQ("MlpPolicy", make_vec("slippery lake", compiled), seed=0, method="polynomial")
+        for name in ("num_timesteps", "n_updates", "n_episodes"):
+            model.training.record[name] = 2**31 - 100
+        model.training.record["counter"] = 2**64 - 1
+        model.training.forget_updates()
+        model.memory["visits"][:] = 2**31 - 2
+        log = Memory()
+        model.set_logger(Logger(None, [log]))
+        model.learn(2000, reset_num_timesteps=False)
+        assert model.num_timesteps == model._n_updates == 2**31 + 1900
+        assert model._episode_num > 2**31
+        assert model.memory["visits"].max() > 2**31 and model.memory["visits"].sum() == 64 * (2**31 - 2) + 2000
+        draws = (int(model.training.record["counter"][0]) + 1) * pow(0x9E3779B97F4A7C15, -1, 2**64) % 2**64
+        assert 2000 < draws < 8000  # one to three for an action, once more where an episode begins
+        step, entry = log.entries[-1]
+        assert step == entry["train/n_updates"] == 2**31 + 1900 and 0.0 < entry["train/mu_mean"] < 1e-6
+        model.save(tmp_path / "model")
+        loaded = TabularQ.load(tmp_path / "model")
+        for name in ("num_timesteps", "n_updates", "n_episodes", "counter"):
+            assert loaded.training.record[name] == model.training.record[name]
+        np.testing.assert_array_equal(loaded.memory["visits"], model.memory["visits"])
 
     def test_a_training_that_has_not_begun(self, tmp_path):
         model = TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0)
@@ -461,7 +499,7 @@ class TestKilled:
         model = TabularQ("MlpPolicy", env)
         model.save(tmp_path / "model")
         moments = random.Random(0)
-        for _ in range(8):
+        for _ in range(60 if os.environ.get("EXHAUSTIVE") else 8):
             pid = os.fork()
             if pid == 0:
                 try:

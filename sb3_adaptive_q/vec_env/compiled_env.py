@@ -9,6 +9,7 @@ import numpy as np
 from sb3_adaptive_q.vec_env import cart_pole_dynamics  # registers the Cart Poles  # noqa: F401
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_dynamics, registered_names
 from sb3_adaptive_q.vec_env.layers import Layers, peel
+from sb3_adaptive_q.vec_env.summed_rewards import SummedRewards
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, has_table, steps_by_table
 
 NO_LIMIT = 2**62
@@ -31,7 +32,7 @@ class CompiledEnv:
         self.max_episode_steps = limit._max_episode_steps if limit else NO_LIMIT
         self.dynamics = _dynamics_of(self.unwrapped)(self.unwrapped, Grid.of(discretizer) if discretizer else None)
         self._left: tuple[Any, Any, Any] | None = None
-        self._rewards: list[float] = []
+        self._rewards: Any = SummedRewards()
 
     def is_like(self, other: "CompiledEnv") -> bool:
         """
@@ -70,11 +71,8 @@ class CompiledEnv:
         monitor = self.layers.monitor
         if monitor is not None:
             # A Monitor adds up and counts these at the episode's end; single rewards are not kept
-            rewards = self._rewards
-            del rewards[length:]
-            rewards.extend([0.0] * (length - len(rewards)))
-            rewards[:1] = [episode_return] * min(length, 1)
-            monitor.rewards = rewards
+            self._rewards.total, self._rewards.count = episode_return, length
+            monitor.rewards = self._rewards
             monitor.total_steps += n_steps
         self._left = self._place()
 

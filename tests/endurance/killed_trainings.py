@@ -37,6 +37,7 @@ def make_trainings() -> list[Training]:
     ]
 
 
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("training", make_trainings(), ids=str)
 def test_two_kills_change_nothing(tmp_path, training):
     moments, checkpoint, step = random.Random(str(training)), None, 0

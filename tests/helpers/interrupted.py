@@ -161,15 +161,15 @@ def kill_at_random(process: Any, folder: Path, training: Training, moment: rando
     :param training: what it does
     :param moment: decides when
     """
-    deadline = time.monotonic() + 120.0
     n_before, n_more = len(checkpoints(folder)), training.total // (training.every * training.n_envs)
     wanted = n_before + moment.randint(1, max(n_more // 3, 1))
-    while len(checkpoints(folder)) < wanted and process.is_alive():
-        assert time.monotonic() < deadline, "no checkpoint within two minutes"
-        time.sleep(0.0005)
-    time.sleep(moment.uniform(0.0, 0.02))
-    process.kill()
-    process.join()
+    try:
+        while len(checkpoints(folder)) < wanted and process.is_alive():
+            time.sleep(0.0005)
+        time.sleep(moment.uniform(0.0, 0.02))
+    finally:  # pytest's own limit of time may end the wait
+        process.kill()
+        process.join()
 
 
 def was_killed(process: Any) -> bool:

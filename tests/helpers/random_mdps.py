@@ -119,14 +119,14 @@ def pairs_to_try(kinds: list[type[Any]], all_pairs: bool) -> list[tuple[type[Any
     """
     :param kinds: the classes of the algorithms
     :param all_pairs: whether to try every algorithm with every step size, for each of which machine code has to be made;
-        otherwise Q-learning with every step size, and the others with one of each kind
+        otherwise Q-learning with every step size, and the others with Method 7
     :return: the algorithms and step sizes to try
     """
     return [
         (kind, step_size)
         for kind in kinds
         for step_size in STEP_SIZE_NAMES
-        if all_pairs or kind is TabularQ or step_size in (7, "autostep")
+        if all_pairs or kind is TabularQ or step_size == 7
     ]
 
 
@@ -153,7 +153,7 @@ def make_case(number: int, pairs: list[tuple[type[Any], int | str | None]]) -> C
     }
     if step_size is None:
         arguments["learning_rate"] = float(draw.choice([0.0, 1.0, draw.random()]))
-    if step_size == 7:  # these are compiled anew, so one step size stands for all
+    if kind is TabularQ and step_size == 7:  # these are compiled anew, so one pair stands for all
         arguments.update([{"ties": "first"}, {"exploration_schedule": "constant"}, {}][draw.integers(3)])
     return Case(
         kind,
@@ -161,6 +161,6 @@ def make_case(number: int, pairs: list[tuple[type[Any], int | str | None]]) -> C
         number,
         int(draw.integers(2, 5)) if several else 1,
         None if draw.random() < 0.3 else int(draw.integers(1, 40)),
-        int(draw.integers(50, 400)),
+        int(draw.integers(30, 250)),
         arguments,
     )
