@@ -66,6 +66,6 @@ class TestReadme:
     def test_it_is_the_one_with_parameters(self) -> None:
         """Compiled, and bit for bit."""
         found: dict[str, Any] = {}
-        exec(self.block().partition("\nmodel =")[0], found)
+        exec(self.block(), found)
         ours, theirs = learn(CompiledVecEnv, 1, found["ClippedQ"]), learn(CompiledVecEnv, 1, ClippedQ)
         assert ours.q_table.any() and ours.q_table.tobytes() == theirs.q_table.tobytes()
