@@ -1,4 +1,4 @@
-"""Train a tabular agent: ``python train.py --env FrozenLake-v1 --method 7 -P -tb runs``; ``--help`` lists the options."""
+"""Train a tabular agent, for example ``python train.py --env FrozenLake-v1 --method 7 -P``; ``--help`` lists the options."""
 
 import sys
 
@@ -8,7 +8,8 @@ except ModuleNotFoundError as error:
     if error.name is None or error.name.startswith("sb3_adaptive_q"):
         raise
     sys.exit(
-        f"train.py: error: The module {error.name} is missing: please install sb3-adaptive-q[zoo], or use .venv/bin/python."
+        f"train.py: error: the package {error.name} is not installed. Install it with  pip install -e '.[zoo]'  or run "
+        "train.py with .venv/bin/python."
     )
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import importlib
 
 from benchmarks.measure import print_machine
 
-NAMES = ("per_step", "compiled", "start_up", "table_size", "study")
+NAMES = ("per_step", "compiled", "algorithms", "start_up", "table_size", "study")
 
 
 def main() -> None:

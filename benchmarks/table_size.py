@@ -14,6 +14,7 @@ from benchmarks.fastest_loops import GOLDEN, scramble
 from benchmarks.measure import Contestant, Row, measure, print_rows, speed_ratio
 from benchmarks.models import PlainCallback
 from sb3_adaptive_q import CompiledVecEnv, TabularQ
+from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env import register_dynamics
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, TransitionTable, read_table
 
@@ -72,7 +73,7 @@ class RandomTableDynamics(TabularDynamics):
     @staticmethod
     def reset(parameters, generator):
         """Draw the first state."""
-        return int(generator.random() * parameters.outcomes.shape[0])
+        return int(random_float(generator) * parameters.outcomes.shape[0])
 
 
 def main() -> None:

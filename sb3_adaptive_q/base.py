@@ -20,15 +20,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_adaptive_q.action_masks import ALLOWED, note_mask
-from sb3_adaptive_q.callbacks import (
-    EpisodeSeriesCallback,
-    LearningRateCallback,
-    check_callback,
-    iterate_callbacks,
-    warn_of_rare_calls,
-)
+from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
 from sb3_adaptive_q.checks import ATTRIBUTES, MOST_STEPS, RATE, check
-from sb3_adaptive_q.hyperparameters import record_hyperparameters
+from sb3_adaptive_q.hyperparameters import record_hyperparameters, run_name
 from sb3_adaptive_q.learned_table import LearnedTable
 from sb3_adaptive_q.logs import record_logs
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
@@ -311,7 +305,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         self.episode_series = []
         with _SETTING_UP:
             total_timesteps, callback = self._setup_learn(
-                total_timesteps, callback, reset_num_timesteps, tb_log_name or self._run_name(callback), progress_bar
+                total_timesteps, callback, reset_num_timesteps, tb_log_name or run_name(self, callback), progress_bar
             )
         if reset_num_timesteps:
             self._last_dump = 0
@@ -340,13 +334,6 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
             self._working = working
         self.check_masks()
-
-    def _run_name(self, callback: MaybeCallback) -> str:
-        """The names of the algorithm and of the method that will be in force."""
-        given = [each.method for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
-        method = given[0] if given else self._method
-        name = type(self).__name__
-        return name if method is None else f"{name}_{method.data.label}"
 
     def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
         if self.use_masking and isinstance(self.env, CompiledVecEnv):

@@ -383,7 +383,7 @@ def check_callback(callback: Any) -> None:
 
 def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
     """
-    Warn where a callback of a user's is called once for many steps, and has not said that it knows.
+    Warn of every callback of the user that is called once for many steps and does not declare that it expects that.
 
     :param model: a model on a compiled environment
     :param callback: what is called after every rollout
@@ -393,9 +393,9 @@ def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
     own = [type(each).__name__ for each in iterate_callbacks(callback) if not _knows_rollouts(each)]
     if own:
         warnings.warn(
-            f"On a compiled environment {', '.join(own)} is called once for many steps, and finds the last one only. If it "
-            "needs every step, give the model `callback_interval=1`; EpisodeSeriesCallback keeps every episode. If it does "
-            "not, say so: the class attribute `knows_rollouts = True`, or a `callback_interval` of your choice.",
+            f"On a compiled environment {', '.join(own)} is called once for a block of many steps, and sees only the last of "
+            "them. If it needs every step, give the model `callback_interval=1`. EpisodeSeriesCallback records every episode. "
+            "To switch this warning off, set the class attribute `knows_rollouts = True`, or choose a `callback_interval`.",
             stacklevel=4,
         )
 

@@ -1,10 +1,12 @@
-"""What TensorBoard's HPARAMS page shows of a training: its hyperparameters, and the metrics that they are compared by."""
+"""How a training appears in TensorBoard: the name of its run, and what the HPARAMS page shows of it."""
 
 import inspect
 from typing import Any
 
 import numpy as np
 from stable_baselines3.common.logger import HParam, TensorBoardOutputFormat
+
+from sb3_adaptive_q.callbacks import LearningRateCallback, iterate_callbacks
 
 #: The metrics of the HPARAMS page: it shows the last value that was logged under each of these tags
 METRICS = ("rollout/ep_rew_mean", "eval/mean_reward", "train/learning_rate")
@@ -21,6 +23,18 @@ _COMMON = {
     "exploration_final_eps": "ε/exploration_final_eps",
     "exploration_fraction": "ε/exploration_fraction",
 }
+
+
+def run_name(model: Any, callback: Any) -> str:
+    """
+    :param model: a tabular algorithm
+    :param callback: what is handed to ``learn``
+    :return: the name of the algorithm, and that of the method that will be in force, such as ``TabularQ_method7``
+    """
+    given = [each.method for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
+    method = given[0] if given else model._method
+    name = type(model).__name__
+    return name if method is None else f"{name}_{method.data.label}"
 
 
 def tensorboard_outputs(model: Any) -> list[TensorBoardOutputFormat]:

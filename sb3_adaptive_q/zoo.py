@@ -5,16 +5,20 @@ import json
 import runpy
 import shutil
 import sys
+from collections.abc import Callable
 from functools import partial
+from itertools import count
 from math import sqrt
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 from urllib.parse import quote
 
+import gymnasium as gym
 import rl_zoo3.enjoy
 import rl_zoo3.train
 import yaml
+from optuna.samplers import BaseSampler
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -25,8 +29,10 @@ from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.hyperparameters import tensorboard_outputs
+from sb3_adaptive_q.output import spell_out_what_cannot_be_written
 from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.zoo_runs import FOLDER, plot_training, with_latest_model
 
 ALGORITHM = "tabular_q"
 #: The hyperparameters used where ``-conf`` names no others
@@ -37,6 +43,8 @@ DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
 #: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
 N_EVALUATION_EPISODES = 500
 N_EVALUATION_ENVS = 10
+#: Of each environment. Without a step limit, a greedy policy may walk against a wall for ever
+MOST_EVALUATION_STEPS = 200_000
 #: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
 #: What a mistake on the command line or in the YAML file raises while an experiment is set up
@@ -71,6 +79,10 @@ def merge_method(hyperparams: dict[str, Any] | None, method: int | str | None) -
     elif "learning_rate" in merged:
         merged.update(method=None, method_kwargs=None)
     return merged
+
+
+class _NoEnd(Exception):
+    """The evaluation takes too long."""
 
 
 class TabularExperiment(ExperimentManager):
@@ -143,24 +155,46 @@ class TabularExperiment(ExperimentManager):
         super().save_trained_model(model)
         recent = [info["r"] for info in model.ep_info_buffer or ()]
         greedy = self._greedy_rewards(model)
-        for output in tensorboard_outputs(model):
+        for output in tensorboard_outputs(model) if greedy else ():
             # Under the tag of SB3's EvalCallback, whose evaluations are of few episodes
             output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
-            (f"Greedy policy, {len(greedy)} episodes", describe(greedy)),
+            (
+                f"Greedy policy, {len(greedy) or N_EVALUATION_EPISODES} episodes",
+                describe(greedy) if greedy else f"did not end within {MOST_EVALUATION_STEPS} steps of each environment",
+            ),
             ("Model", f"{self.save_path}/{self.env_name}.zip"),
             *self._tensorboard_rows(model),
         ]
         width = max(len(name) for name, _ in rows)
         print("\n" + "\n".join(f"{name:<{width}}  {value}" for name, value in rows))
 
+    def _create_sampler(self, sampler_method: str) -> BaseSampler:
+        try:
+            return super()._create_sampler(sampler_method)
+        except ModuleNotFoundError as error:
+            sys.exit(
+                f"error: --sampler {sampler_method} needs {error.name}: install it with  pip install {error.name}  or use "
+                "--sampler tpe"
+            )
+
     def _greedy_rewards(self, model: BaseAlgorithm) -> list[float]:
         # Played in the ordinary environment, however the model was trained
         self.vec_env_class = LeanVecEnv
         env = self.create_envs(N_EVALUATION_ENVS, eval_env=True)
-        rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, return_episode_rewards=True)
-        env.close()
+        steps = count()
+
+        def stop_in_time(*_: Any) -> None:
+            if next(steps) > MOST_EVALUATION_STEPS * N_EVALUATION_ENVS:
+                raise _NoEnd
+
+        try:
+            rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, callback=stop_in_time, return_episode_rewards=True)
+        except _NoEnd:
+            return []
+        finally:
+            env.close()
         assert isinstance(rewards, list)
         return rewards
 
@@ -170,7 +204,7 @@ class TabularExperiment(ExperimentManager):
         return [
             ("TensorBoard log", str(model.logger.get_dir())),
             ("Open it with", f"{tensorboard_command()} --logdir {Path(self.tensorboard_log).parent}"),
-            ("Reward and μ", tensorboard_address()),
+            ("Mean reward, step size", tensorboard_address()),
         ]
 
 
@@ -180,7 +214,7 @@ def describe(rewards: list[float]) -> str:
     :return: their mean and its standard error, in words
     """
     if len(rewards) < 2:
-        return "too few to tell"
+        return "fewer than two episodes"
     return f"mean reward {fmean(rewards):.2f} ± {stdev(rewards) / sqrt(len(rewards)):.2f} (standard error)"
 
 
@@ -218,10 +252,11 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     :return: our options, and the rest, which is RL Zoo's
     """
     parser = argparse.ArgumentParser(
-        usage="%(prog)s [train | enjoy | record-video] [option ...]",
-        description="Train with RL Zoo; after the word enjoy, play a trained agent, after record-video, film it. "
-        "Unless told otherwise: --algo tabular_q "
-        f"--env FrozenLake-v1 -conf {CONFIG}. These options are ours, the ones further down are RL Zoo's:",
+        usage="%(prog)s [train | enjoy | record-video | plot] [option ...]",
+        description="Train an agent with RL Zoo, and evaluate it. With `enjoy` as the first word, show a trained agent "
+        "instead; with `record-video`, record a video of it; with `plot`, draw how trainings went. The defaults are --algo "
+        f"tabular_q --env FrozenLake-v1 and the hyperparameters of {CONFIG}. The options of this package come first, those "
+        "of RL Zoo's training below.",
         add_help=False,
         allow_abbrev=False,
     )
@@ -229,16 +264,22 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
         "--method",
         type=method_name,
         metavar="METHOD",
-        help="a number of the paper's, 1 to 8, or the name of a step size, with its default parameters, in place of the YAML "
-        f"file's; the names are {', '.join(STEP_SIZES)}",
+        help="what sets the step size, with its default parameters and in place of what the YAML file says: 1 to 8 for the "
+        f"paper's methods, or {', '.join(STEP_SIZES)}",
     )
     parser.add_argument(
         "--vec-env",
         choices=VEC_ENVS,
         default="dummy",
-        help="step the environments one after the other, in compiled code, or each in a process of its own",
+        help="dummy steps the environments one after the other (the default); compiled trains in machine code, in "
+        "environments that compile; subproc runs each environment in a process of its own",
     )
-    parser.add_argument("-P", "--progress", action="store_true", help="a progress bar; no tables then unless --verbose 1")
+    parser.add_argument(
+        "-P",
+        "--progress",
+        action="store_true",
+        help="show a progress bar instead of the log tables (add --verbose 1 for both)",
+    )
     parser.set_defaults(started=False)
     ours, rest = parser.parse_known_args(arguments)
     if {"-h", "--help"} & set(rest):
@@ -263,7 +304,9 @@ def train(arguments: list[str]) -> None:
     except MISTAKES as error:
         if ours.started:
             raise
-        hint = " (values on the command line are Python: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        hint = (
+            " (values of -params are Python expressions: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
+        )
         sys.exit(f"error: {error}{hint}")
 
 
@@ -274,11 +317,8 @@ def enjoy(arguments: list[str]) -> None:
     :param arguments: the command line
     :raises SystemExit: if there is no such agent
     """
-    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
-    try:
-        rl_zoo3.enjoy.enjoy()
-    except (AssertionError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    sys.argv[1:] = with_latest_model([*DEFAULTS, "-f", FOLDER, *arguments])
+    _show(rl_zoo3.enjoy.enjoy)
 
 
 def record_video(arguments: list[str]) -> None:
@@ -288,25 +328,42 @@ def record_video(arguments: list[str]) -> None:
     :param arguments: the command line
     :raises SystemExit: if there is no such agent
     """
-    sys.argv[1:] = [*DEFAULTS, "-f", "logs", *arguments]
+    sys.argv[1:] = with_latest_model([*DEFAULTS, "-f", FOLDER, *arguments])
+    _show(partial(runpy.run_module, "rl_zoo3.record_video", run_name="__main__"))
+
+
+def _show(program: Callable[[], Any]) -> None:
     try:
-        runpy.run_module("rl_zoo3.record_video", run_name="__main__")
+        program()
     except (AssertionError, ValueError) as error:
+        sys.exit(f"error: {error} (a search with --optimize leaves no model: train one first)")
+    except gym.error.DependencyNotInstalled as error:
         sys.exit(f"error: {error}")
 
 
+def plot(arguments: list[str]) -> None:
+    """
+    Run RL Zoo's ``plot_train``, which plots the returns of trainings, with our defaults.
+
+    :param arguments: the command line; ``-o FILE`` saves the picture
+    :raises SystemExit: if there is nothing to plot
+    """
+    plot_training(["-a", ALGORITHM, "-e", "FrozenLake-v1", "-f", FOLDER, *arguments])
+
+
 #: What the first argument may ask for; anything else is training
-PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video}
+PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video, "plot": plot}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """
-    Train or, with ``enjoy`` or ``record-video`` as the first argument, show a trained agent.
+    Train or, with ``enjoy``, ``record-video`` or ``plot`` as the first argument, show a trained agent, or how it learned.
 
     :param arguments: the command line; ``None`` for that of the process
     :raises SystemExit: if there is a mistake in it
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    spell_out_what_cannot_be_written()
     register()
     if arguments[:1] and arguments[0] in PROGRAMS:
         PROGRAMS[arguments[0]](arguments[1:])

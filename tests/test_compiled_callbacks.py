@@ -363,7 +363,7 @@ class TestCallbacksOfAUser:
 
     @pytest.mark.parametrize(("callback", "name"), [(Watch(), "Watch"), (lambda found, everywhere: True, "ConvertCallback")])
     def test_one_that_may_not_know_is_warned_of(self, callback, name):
-        with pytest.warns(UserWarning, match=f"{name} is called once for many steps") as warned:
+        with pytest.warns(UserWarning, match=f"{name} is called once for a block of many steps") as warned:
             make_model(LAKE, True).learn(1_000, callback=callback, log_interval=None)
         assert len(warned) == 1
 

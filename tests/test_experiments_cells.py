@@ -174,5 +174,5 @@ def test_no_changed_bit_goes_unnoticed_into_the_values(folder: ResultFolder, con
 
 
 def test_design_that_repeats_a_cell_is_refused() -> None:
-    with pytest.raises(DesignError, match="repeats a cell: Method 1 in FrozenLake-v1"):
+    with pytest.raises(DesignError, match="names the same runs twice: Method 1 in FrozenLake-v1"):
         Design(environments=["FrozenLake-v1"], methods=["1", {"name": "1"}], steps=10)  # type: ignore[list-item]

@@ -210,7 +210,7 @@ def test_design_in_python_is_that_in_yaml(tmp_path: Path) -> None:
     ("text", "part"),
     [
         ("environments: [FrozenLake-v1]\nmethods: [1]\nsteps: 10\nrunz: 3", "Unknown entry 'runz'. Did you mean 'runs'"),
-        ("methods: [1]\nsteps: 10", "is no design"),
+        ("methods: [1]\nsteps: 10", "does not describe a design"),
         ("environments: [FrozenLake-v1]\nmethods: [1]", "give `steps`"),
         ("environments: [FrozenLake-v1]\nmethods: [{gain: 1}]\nsteps: 10", "Unknown method ''"),
         ("environments: [FrozenLake-v1]\nmethods: [1]\nsteps: 10\nsettings: {gamma: 2}", "gamma"),

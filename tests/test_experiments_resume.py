@@ -207,7 +207,7 @@ def test_folder_of_another_version_is_refused(name: str, tmp_path: Path, capsys:
     data["versions"][name] = "0.0.1"
     design.write_text(yaml.safe_dump(data))
     assert main([*SMALL_OPTIONS, "--output", str(tmp_path / "study")]) == 2
-    assert f"begun with another version: {name} is 0.0.1 there" in capsys.readouterr().err
+    assert f"started with other versions: {name} is 0.0.1 there" in capsys.readouterr().err
 
 
 def test_digest_is_of_the_modules_that_a_run_goes_through() -> None:

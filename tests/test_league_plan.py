@@ -232,6 +232,7 @@ def test_environment_without_a_reference_is_judged_by_rollouts_on_a_scale() -> N
         (["--scale", "taxi=8,1"], "low below high"),
         (["--scale", "taxy=1,8"], "Did you mean 'taxi'"),
         (["--sweep", "alpha"], "A sweep is name=value,value"),
+        (["--sweep", "alpha=0.1,0.2"], "The sweep of alpha would change nothing"),
         (["--quik"], "Perhaps you meant: --quick"),
         (["--config", "/does/not/exist.yml"], "Cannot read"),
     ],

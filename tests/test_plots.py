@@ -19,6 +19,7 @@ from matplotlib.quiver import Quiver
 from helpers.both_paths import CELLS, make_model
 from sb3_adaptive_q import DoubleQ, TabularQ
 from sb3_adaptive_q.plots import plot_policy
+from sb3_adaptive_q.plots.grid_maps import find_map
 from sb3_adaptive_q.plots.numbers import number_texts
 from sb3_adaptive_q.plots.style import INK, SEQUENTIAL
 from wrappers import DiscretizeObservation
@@ -218,6 +219,35 @@ class TestOwnMap:
         ax = plot_policy(random_table(6, 3), env)
         assert shapes(ax, "terminal") == {(1, 2)}  # state 5
         assert ax.get_xlabel() == "S start    T end of the episode" and "S" in texts(ax)[0, 2]
+
+    @pytest.mark.parametrize("env_id", ["WindyGrid-v0", "WindyKing-v0", "DynaMaze-v0", "HasseltGrid-v0", "MovingGoal-v0"])
+    def test_the_packages_own_grids(self, env_id):
+        """The map against the transition table: who enters a wall, where episodes end, where moves lead without wind."""
+        env = gym.make(env_id)
+        n_states, n_actions = env.observation_space.n, env.action_space.n
+        ax = plot_policy(random_table(n_states, n_actions), env)
+        grid = find_map(env, n_states)
+        table = env.unwrapped.table_at(0)[0] if env_id == "MovingGoal-v0" else env.unwrapped.P
+        outcomes = [(state, action, *outcome) for state in range(n_states) for action in range(n_actions)
+                    for outcome in table[state][action]]  # fmt: skip
+        walls = [row * grid.letters.shape[1] + column for row, column in shapes(ax, "wall")]
+        assert not any(next_state in walls and state not in walls for state, _, _, next_state, _, _ in outcomes)
+        assert len(walls) == (7 if env_id == "DynaMaze-v0" else 0)  # Sutton and Barto (2018), figure 8.2
+        goals = {next_state for _, _, _, next_state, _, terminated in outcomes if terminated}
+        assert {grid.cell_of(state) for state in goals} == shapes(ax, "goal")
+        if env_id in ("DynaMaze-v0", "HasseltGrid-v0"):
+            moves = {
+                (action, *np.subtract(grid.cell_of(next_state), grid.cell_of(state)))
+                for state, action, _, next_state, _, _ in outcomes
+                if next_state != state
+            }
+            assert moves == {(action, *move) for action, move in enumerate(grid.moves)}
+
+    def test_a_maze_that_changes_is_drawn_as_it_is_now(self):
+        env = gym.make("ShortcutMaze-v0", period=5)
+        assert shapes(plot_policy(random_table(54, 4), env), "wall") == {(3, column) for column in range(1, 9)}
+        env.unwrapped.clock = 5
+        assert shapes(plot_policy(random_table(54, 4), env), "wall") == {(3, column) for column in range(1, 8)}
 
     def test_moves_that_are_missing_are_asked_for(self):
         env = self.Maze()

@@ -168,7 +168,7 @@ def test_cart_pole_has_the_papers_grid(env_id: str) -> None:
 def test_describe() -> None:
     """Mean 2, sample variance ((-1)² + 0² + 1²) / 2 = 1, so a standard error of 1 / √3 = 0.577."""
     assert zoo.describe([1.0, 2.0, 3.0]) == "mean reward 2.00 ± 0.58 (standard error)"
-    assert zoo.describe([]) == zoo.describe([1.0]) == "too few to tell"
+    assert zoo.describe([]) == zoo.describe([1.0]) == "fewer than two episodes"
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ class Design:
             check_selection(name, getattr(self, name))
         check_options(self, STUDY)
         if self.steps is None and "total_episodes" not in self.settings:
-            raise DesignError("A run needs an end: give `steps`, or `total_episodes` among the settings.")
+            raise DesignError("The length of a run is missing: give `steps`, or `total_episodes` among the settings.")
         _check_no_run_twice(self.variants())
         for variant in self.variants():
             variant.learner.make(seed=0)
@@ -93,7 +93,7 @@ class Design:
         try:
             return cls(**data)
         except TypeError as error:
-            raise DesignError(f"{path} is no design: {error}") from error
+            raise DesignError(f"{path} does not describe a design: {error}") from error
 
     def variants(self) -> list[Variant]:
         """
@@ -232,7 +232,7 @@ def _check_no_run_twice(variants: list[Variant]) -> None:
     for label, learner in variants:
         text = json.dumps(learner, sort_keys=True)
         if text in seen:
-            raise DesignError(f"The design repeats a cell: {label} in {learner.environment}.")
+            raise DesignError(f"The design names the same runs twice: {label} in {learner.environment}.")
         seen.add(text)
 
 

@@ -9,6 +9,7 @@ import tyro
 
 from sb3_adaptive_q.experiments.design import read_yaml
 from sb3_adaptive_q.experiments.errors import DesignError, ExperimentError
+from sb3_adaptive_q.output import spell_out_what_cannot_be_written
 
 Options = TypeVar("Options")
 
@@ -57,6 +58,7 @@ def report_errors(command: Callable[[], Any]) -> int:
     :param command: what to do
     :return: the exit status: 0, 2 where no such experiment can be made, 1 where it could not be finished
     """
+    spell_out_what_cannot_be_written()
     try:
         command()
     except DesignError as error:

@@ -35,10 +35,10 @@ class Execution:
     """
     How an experiment is carried out, which makes no difference to what it gives.
 
-    :param output: folder of the results; an experiment that was interrupted goes on when it is started again with the same
-    :param workers: how many runs at a time; one for each core if not given
-    :param processes: processes instead of threads, for environments or rules that hold the interpreter
-    :param dask: address of the scheduler of a Dask cluster to use instead, such as tcp://10.0.0.5:8786
+    :param output: folder of the results; an interrupted experiment continues when it is started again with the same folder
+    :param workers: runs at the same time; default: one for each core
+    :param processes: use processes instead of threads, for environments or rules that are not compiled
+    :param dask: address of the scheduler of a Dask cluster that runs everything, such as tcp://10.0.0.5:8786
     :param progress: show a progress bar with the time left
     """
 
@@ -113,7 +113,8 @@ def _outcomes(parallel: Parallel, cells: Sequence[Cell], run: Run) -> Iterator[O
         raise ExperimentError(f"The Dask cluster has no worker: please start some with `dask worker`. ({error})") from error
     except BrokenExecutor as error:
         raise ExperimentError(
-            f"A worker died ({error}), perhaps for want of memory. Start again to go on; --workers 1 needs least."
+            f"A worker died ({error}), perhaps because memory ran out. Start again to go on; --workers 1 needs the least "
+            "memory."
         ) from error
     except CancelledError as error:
         raise ExperimentError("The Dask scheduler was lost: check that it is running, and start again to go on.") from error

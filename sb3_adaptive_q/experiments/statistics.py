@@ -48,7 +48,7 @@ class Comparison(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether the two are told apart."""
+        """Whether the difference is significant."""
         return self.p_value < SIGNIFICANCE
 
 

@@ -72,7 +72,9 @@ class ResultFolder:
         if file.exists():
             self._check(file, design, selection)
         elif self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-            raise DesignError(f"{self.path} is no empty folder and holds no experiment: choose another output folder.")
+            raise DesignError(
+                f"{self.path} is neither empty nor the output folder of an experiment: choose another output folder."
+            )
         self._remove_leftovers()
         text = yaml.safe_dump({**design, "versions": versions()}, sort_keys=False, allow_unicode=True)
         write_atomically(file, text.encode())
@@ -146,8 +148,8 @@ class ResultFolder:
         changed = {name: number for name, number in versions().items() if there.get(name) != number}
         if any(name in changed for name in STRICT):
             raise DesignError(
-                f"{self.path} was begun with another version: {'; '.join(_differences(there, versions()))}. Choose another "
-                "output folder, or go back to that version."
+                f"{self.path} was started with other versions: {'; '.join(_differences(there, versions()))}. Choose another "
+                "output folder, or install those versions."
             )
         if changed:
             self.warn(f"{self.path} was begun with other versions of {', '.join(changed)}.")

@@ -1,7 +1,8 @@
 """
 The maps of grid worlds: which row of the table belongs to which cell, and where each action leads.
 
-FrozenLake, CliffWalking and Taxi are known. An environment of your own has a map if ``env.unwrapped`` has these attributes:
+FrozenLake, CliffWalking, Taxi and the grids of this package are known. An environment of your own has a map if
+``env.unwrapped`` has these attributes:
 
 - ``desc``: the letters of the cells, an array of shape (rows, columns) or a list of strings: S start, G goal, H hole, C cliff,
   # wall, anything else an ordinary cell. Or ``grid_shape``: (rows, columns), and with it, if there are any, ``walls``: the
@@ -96,7 +97,7 @@ def find_map(
     if isinstance(inner, TaxiEnv):
         return _taxi_map(inner, *_taxi_places(passenger, destination))
     if passenger is not None or destination is not None:
-        raise ValueError("`passenger` and `destination` are Taxi's: please leave them away for other environments.")
+        raise ValueError("`passenger` and `destination` are Taxi's: please leave them out for other environments.")
     letters = _letters(inner)
     if letters is None or letters.size != n_states:
         return None
@@ -121,8 +122,9 @@ def _letters(inner: Any) -> np.ndarray | None:
     """The letters that the environment itself gives to its cells."""
     if isinstance(inner, CliffWalkingEnv):
         return _cliff_letters(inner)
-    if hasattr(inner, "desc"):
-        rows = [[_text(letter) for letter in row] for row in inner.desc]
+    described = inner if hasattr(inner, "desc") or hasattr(inner, "grid_shape") else _table(inner)
+    if hasattr(described, "desc"):
+        rows = [[_text(letter) for letter in row] for row in described.desc]
         return np.array([[letter if letter in MEANINGS else "" for letter in row] for row in rows])
     if hasattr(inner, "grid_shape"):
         letters = np.full(tuple(inner.grid_shape), "")
@@ -156,9 +158,16 @@ def _mark_start_and_end(letters: np.ndarray, inner: Any) -> None:
             flat[next_state] = TERMINAL
 
 
+def _table(inner: Any) -> Any:
+    """The transition table of the moment, empty where there is none."""
+    if hasattr(inner, "table_at"):  # one whose rules change
+        return inner.table_at(inner.clock)[0]
+    return getattr(inner, "P", {})
+
+
 def _outcomes(inner: Any) -> Iterator[tuple[float, int, float, bool]]:
-    """Every transition of the table ``P``, if there is one: probability, next state, reward, whether the episode ends."""
-    table = getattr(inner, "P", {})
+    """Every transition of the table, if there is one: probability, next state, reward, whether the episode ends."""
+    table = _table(inner)
     for state in range(len(table)):
         for action in range(len(table[state])):
             yield from table[state][action]
@@ -169,7 +178,7 @@ def _moves(inner: Any) -> tuple[tuple[int, int], ...]:
         return _LAKE_MOVES
     if isinstance(inner, CliffWalkingEnv):
         return tuple((row, column) for row, column in (POSITION_MAPPING[action] for action in range(4)))
-    moves = getattr(inner, "moves", None)
+    moves = getattr(inner, "moves", None) or getattr(_table(inner), "moves", None)
     if moves is None or len(moves) != inner.action_space.n:
         raise ValueError(
             f"{type(inner).__name__} has a map but does not say where its actions lead: give it the attribute `moves`, a pair "

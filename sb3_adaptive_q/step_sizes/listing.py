@@ -4,35 +4,9 @@ import textwrap
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from sb3_adaptive_q.output import spell
 from sb3_adaptive_q.step_sizes.registry import STEP_SIZES
 from sb3_adaptive_q.step_sizes.step import StepSize
-
-#: What is written where a terminal cannot show a sign
-_SPELLED = {
-    "α": "alpha",
-    "β": "beta",
-    "γ": "gamma",
-    "δ": "delta",
-    "ε": "epsilon",
-    "η": "eta",
-    "θ": "theta",
-    "κ": "kappa",
-    "λ": "lambda",
-    "μ": "mu",
-    "ν": "nu",
-    "σ": "sigma",
-    "τ": "tau",
-    "φ": "phi",
-    "ψ": "psi",
-    "ω": "omega",
-    "₀": "_0",
-    "²": "^2",
-    "√": "sqrt ",
-    "←": "<-",
-    "≤": "<=",
-    "≥": ">=",
-    "é": "e",
-}
 
 LEGEND = (
     "μ: the step size. n: the number of updates of the cell, this one included. δ: the temporal-difference error. "
@@ -68,7 +42,7 @@ def describe(paper: Iterable[Description] = (), encoding: str | None = "utf-8", 
     """
     entries = [*paper, *map(_description, STEP_SIZES.values())]
     blocks = [_block(entry, width) for entry in entries] + [textwrap.fill(LEGEND, width, break_on_hyphens=False)]
-    return _spell("\n\n".join(blocks), encoding or "ascii") + "\n"
+    return spell("\n\n".join(blocks), encoding or "ascii") + "\n"
 
 
 def _description(step_size: StepSize) -> Description:
@@ -85,15 +59,3 @@ def _block(entry: Description, width: int) -> str:
     for text in (entry.formula, *entry.parameters):
         lines += textwrap.wrap(text, width, initial_indent="    ", subsequent_indent="        ")
     return "\n".join(lines)
-
-
-def _spell(text: str, encoding: str) -> str:
-    return "".join(sign if _can_show(sign, encoding) else _SPELLED.get(sign, "?") for sign in text)
-
-
-def _can_show(sign: str, encoding: str) -> bool:
-    try:
-        sign.encode(encoding)
-    except UnicodeEncodeError:
-        return False
-    return True

@@ -123,10 +123,7 @@ def pairs_to_try(kinds: list[type[Any]], all_pairs: bool) -> list[tuple[type[Any
     :return: the algorithms and step sizes to try
     """
     return [
-        (kind, step_size)
-        for kind in kinds
-        for step_size in STEP_SIZE_NAMES
-        if all_pairs or kind is TabularQ or step_size == 7
+        (kind, step_size) for kind in kinds for step_size in STEP_SIZE_NAMES if all_pairs or kind is TabularQ or step_size == 7
     ]
 
 

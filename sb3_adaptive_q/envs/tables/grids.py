@@ -2,9 +2,7 @@
 
 from collections.abc import Callable, Collection
 
-from sb3_adaptive_q.envs.tables.types import Outcome, Start, Table, ended, start_in
-
-Cell = tuple[int, int]
+from sb3_adaptive_q.envs.tables.types import Cell, GridTable, Outcome, Start, Table, ended, start_in
 
 UP, DOWN, LEFT, RIGHT = (-1, 0), (1, 0), (0, -1), (0, 1)
 DIAGONALS = [(-1, -1), (-1, 1), (1, -1), (1, 1)]
@@ -33,7 +31,7 @@ def windy_grid(king: bool = False) -> tuple[Table, Start]:
         cells = [(min(max(cell[0] + move[0] - shift, 0), 6), column) for shift in winds]
         return [(1.0 / len(winds), row * 10 + column, -1.0, (row, column) == goal) for row, column in cells]
 
-    return _grid((7, 10), moves, (3, 0), outcomes, goal)
+    return _grid((7, 10), moves, (3, 0), goal, outcomes)
 
 
 def dyna_maze() -> tuple[Table, Start]:
@@ -81,7 +79,7 @@ def hasselt_grid() -> tuple[Table, Start]:
         row, column = _moved((3, 3), cell, move)
         return [(0.5, row * 3 + column, reward, False) for reward in (-12.0, 10.0)]
 
-    return _grid((3, 3), [UP, DOWN, LEFT, RIGHT], (2, 0), outcomes)
+    return _grid((3, 3), [UP, DOWN, LEFT, RIGHT], (2, 0), goal, outcomes, ends_in_goal=False)
 
 
 def moving_goals() -> list[tuple[Table, Start]]:
@@ -104,7 +102,7 @@ def moving_goals() -> list[tuple[Table, Start]]:
                 (1.0 / 3.0, row * 8 + column, float((row, column) == goal), (row, column) == goal) for row, column in cells
             ]
 
-        return _grid((8, 8), moves, (0, 0), outcomes)
+        return _grid((8, 8), moves, (0, 0), goal, outcomes, ends_in_goal=False)
 
     return [of_goal(goal) for goal in ((7, 7), (0, 7), (7, 0))]
 
@@ -118,7 +116,7 @@ def _maze(walls: Collection[Cell], start: Cell) -> tuple[Table, Start]:
         row, column = cell if moved in walls else moved
         return [(1.0, row * 9 + column, float((row, column) == goal), (row, column) == goal)]
 
-    return _grid((6, 9), [UP, DOWN, LEFT, RIGHT], start, outcomes, goal)
+    return _grid((6, 9), [UP, DOWN, LEFT, RIGHT], start, goal, outcomes, walls)
 
 
 def _moved(shape: tuple[int, int], cell: Cell, move: Cell) -> Cell:
@@ -129,14 +127,17 @@ def _grid(
     shape: tuple[int, int],
     moves: list[Cell],
     start: Cell,
+    goal: Cell,
     outcomes: Callable[[Cell, Cell], list[Outcome]],
-    end: Cell | None = None,
+    walls: Collection[Cell] = (),
+    ends_in_goal: bool = True,
 ) -> tuple[Table, Start]:
-    """The table of what happens with each move in each cell, and nothing more where episodes have ended."""
+    """The table of what happens with each move in each cell, and nothing more in the goal where episodes have ended there."""
     n_rows, n_columns = shape
     cells = [(row, column) for row in range(n_rows) for column in range(n_columns)]
-    table = {
-        state: ended(state, len(moves)) if cell == end else {action: outcomes(cell, move) for action, move in enumerate(moves)}
-        for state, cell in enumerate(cells)
-    }
-    return table, start_in(len(cells), start[0] * n_columns + start[1])
+    table = {state: {action: outcomes(cell, move) for action, move in enumerate(moves)} for state, cell in enumerate(cells)}
+    if ends_in_goal:
+        table[goal[0] * n_columns + goal[1]] = ended(goal[0] * n_columns + goal[1], len(moves))
+    letters = {**dict.fromkeys(walls, "#"), start: "S", goal: "G"}
+    desc = ["".join(letters.get((row, column), ".") for column in range(n_columns)) for row in range(n_rows)]
+    return GridTable(table, desc, moves), start_in(len(cells), start[0] * n_columns + start[1])

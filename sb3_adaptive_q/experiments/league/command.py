@@ -17,10 +17,11 @@ from sb3_adaptive_q.experiments.runner import Execution
 @dataclass(frozen=True)
 class LeagueOptions:
     """
-    Compare step sizes: which learns fastest, where, and how sure that is. It ends with a page, report.html.
+    Compare step sizes: which learns fastest, in which environments, and how certain that is. The result is report.html.
 
-    Tuning and evaluation have seeds of their own. A league that was interrupted goes on when it is started again with the same
-    output folder. --config FILE takes options from a YAML file, such as the design.yml that a league leaves.
+    Tuning and evaluation use different seeds. An interrupted league continues when it is started again with the same output
+    folder. --config FILE reads options from a YAML file, such as the design.yml that a league writes; options of the command
+    line override it.
     """
 
     design: tyro.conf.OmitArgPrefixes[LeagueSettings] = field(default_factory=LeagueSettings)

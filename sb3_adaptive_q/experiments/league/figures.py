@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sb3_adaptive_q.experiments.drawing import MARKERS, line_style, tidy
+from sb3_adaptive_q.experiments.drawing import MARKERS, line_style
 from sb3_adaptive_q.experiments.league.analysis import Places, Scores, Sensitivity, Standing
 from sb3_adaptive_q.experiments.league.findings import PAPER_LABELS
 from sb3_adaptive_q.experiments.league.plan import CLIP, anytime, prediction_scale
@@ -20,6 +20,7 @@ from sb3_adaptive_q.experiments.statistics import (
     interquartile_mean,
     performance_profile,
 )
+from sb3_adaptive_q.plots.style import tidy
 
 #: Rules whose curves are drawn: more could not be told apart
 MOST_CURVES = 8

@@ -40,7 +40,8 @@ def _finding(track: Track, scores: Scores, where: str, tasks: Sequence[int], res
     best, places = rows[0], ", ".join(track.tasks[k].name for k in tasks)
     text = f"**{where}** ({places}), take **{best.label}** ({best.setting}): its score is {_with_comparisons(best)}"
     equals = _not_told_apart(track, part, best.label, resamples)
-    return f"{text}. {f'Not told apart from it: {join(equals)}.' if equals else 'It is told apart from every other rule.'}"
+    others = f"Not significantly different: {join(equals)}." if equals else "Every other rule is significantly different."
+    return f"{text}. {others}"
 
 
 def _with_comparisons(row: Standing) -> str:

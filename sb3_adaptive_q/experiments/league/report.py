@@ -32,6 +32,7 @@ from sb3_adaptive_q.experiments.league.figures import (
 from sb3_adaptive_q.experiments.league.findings import findings, paper_finding
 from sb3_adaptive_q.experiments.league.league import Played
 from sb3_adaptive_q.experiments.league.plan import CHOICES
+from sb3_adaptive_q.experiments.league.remarks import design_remark, scale_remark
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Track, league_data
 from sb3_adaptive_q.experiments.options import options_of
 from sb3_adaptive_q.experiments.page import html_page
@@ -136,7 +137,8 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
     sentences += [paper_finding(first.rows)]
     runs = sum(len(group) for group in settings.seeds("evaluation"))
     what = f"{len(track.contestants)} rules in {len(track.tasks)} environments, {runs} runs each. {WHAT[track.name]}"
-    return f"{heading}\n\n{what}\n\n" + "\n".join(f"- {sentence}" for sentence in sentences if sentence)
+    parts = [heading, what, design_remark(settings), "\n".join(f"- {sentence}" for sentence in sentences if sentence)]
+    return "\n\n".join(part for part in parts if part)
 
 
 def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed) -> str:
@@ -155,7 +157,7 @@ def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed)
         folder.write(f"tables/{track.name}_{name}.csv", frame.to_csv(index=False))
         parts.append(f"### {caption}{mark}\n\n{markdown_table(frame.columns.tolist(), frame.to_numpy().tolist())}")
         if name == "standings":
-            parts += [NOTE, _failures(analysed)]
+            parts += [NOTE, scale_remark(track) if track.name == "B" else "", _failures(analysed)]
     labels = [rule.label for rule in track.contestants]
     matrix = pd.DataFrame([[each.value for each in row] for row in wins], index=labels, columns=labels)
     folder.write(f"tables/{track.name}_wins.csv", matrix.to_csv())
@@ -196,7 +198,7 @@ def standings_table(analysed: Analysed) -> pd.DataFrame:
                 "rule": row.label,
                 "setting": row.setting,
                 "score [95 % interval]": format_estimate(*row.score, decimals=3),
-                **{f"difference to {label}": _difference(row.comparisons.get(label)) for label in references},
+                **{f"score minus that of {label}": _difference(row.comparisons.get(label)) for label in references},
                 "final score": format_estimate(*row.final, decimals=3),
                 "score while learning": format_estimate(*row.online, decimals=3),
                 "mean": format_estimate(*row.mean, decimals=3),

@@ -29,6 +29,7 @@ MEASURES = "sb3_adaptive_q.experiments.league.measures:measure_"
 TRACKS = ("A", "B", "C", "algorithms")
 #: What only selects among the cells, and may differ from one start of a league to the next
 SELECTION = ("tracks", "methods", "environments", "algorithm", "runs", "tuning_runs", "sweep", "scale", "resamples")
+GYMNASIUM_ID = "An id that gymnasium knows or `module:name` will do too."
 #: The kind of an environment that the league does not know
 OWN_KIND = "your own"
 
@@ -187,6 +188,7 @@ class LeagueSettings:
         :raises DesignError: if a name is unknown, or an environment cannot be judged
         """
         data = league_data()
+        self._check_sweeps()
         tasks = [self._task(name) for name in self.environments]
         rules = tuple(self._contestant(name) for name in dict.fromkeys((*data["references"], *self.methods)))
         still = tuple(task for task in tasks if self._check_judged(task))
@@ -205,7 +207,7 @@ class LeagueSettings:
         if known:
             return self._known_task(name, known)
         if not is_import_path(name) and name not in gym.registry:
-            raise unknown_name("environment", name, [*data["environments"], *data["more_environments"], *gym.registry])
+            raise unknown_name("environment", name, [*data["environments"], *data["more_environments"]], GYMNASIUM_ID)
         return Task(name, name, OWN_KIND, self._budget(self.steps), self.gamma, scale=self._scales().get(name))
 
     def _known_task(self, name: str, known: Mapping[str, Any]) -> Task:
@@ -225,6 +227,16 @@ class LeagueSettings:
     def _budget(self, steps: int) -> int:
         data = league_data()
         return steps // data["quick"]["steps_divided_by"] if self.quick else steps
+
+    def _check_sweeps(self) -> None:
+        own = [method for method in self.methods if method not in league_data()["grids"]]
+        taken = sorted(set().union(*map(method_parameters, own)))
+        for name, _ in map(parse_sweep, self.sweep):
+            if name not in taken:
+                raise DesignError(
+                    f"The sweep of {name} would change nothing: the rules of the league have grids of their own, and "
+                    f"{'your rules take ' + ', '.join(taken) if taken else 'no other rule is among the methods'}."
+                )
 
     def _scales(self) -> dict[str, tuple[float, float]]:
         scales = {}

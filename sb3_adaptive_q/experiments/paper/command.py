@@ -20,8 +20,8 @@ class StudyOptions:
     """
     Repeat the paper's experiment: its tables and figures beside the paper's, and its claims judged.
 
-    A study that was interrupted goes on when it is started again with the same output folder. --config FILE takes options from
-    a YAML file, such as the design.yml that a study leaves; options override it.
+    An interrupted study continues when it is started again with the same output folder. --config FILE reads options from a
+    YAML file, such as the design.yml that a study writes; options of the command line override it.
 
     :param tensorboard: also write TensorBoard logs to this folder; TensorBoard's HPARAMS page compares them
     :param tensorboard_runs: what to write there: mean, one log a method, its mean over the runs; or all, one log a run

@@ -34,7 +34,7 @@ class Pair(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether the test tells them apart."""
+        """Whether the difference is significant."""
         return self.p_value < SIGNIFICANCE
 
 

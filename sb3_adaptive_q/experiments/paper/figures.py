@@ -1,7 +1,6 @@
 """The paper's Figures 6 to 13, and what it has no figure of: all methods together, and the lake with what was learned."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -10,15 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sb3_adaptive_q import METHODS
-from sb3_adaptive_q.experiments.drawing import BLUE, GREEN, GREY, INK, line_style, tidy
+from sb3_adaptive_q.experiments.drawing import line_style
 from sb3_adaptive_q.experiments.environments import make_env
 from sb3_adaptive_q.experiments.episodes import WINDOW
 from sb3_adaptive_q.experiments.paper.results import Results, Series, trailing_mean
 from sb3_adaptive_q.experiments.paper.settings import PAPER_METHODS, PAPER_SYSTEMS, title_of
 from sb3_adaptive_q.experiments.paper.tables import optimal_values
 from sb3_adaptive_q.experiments.text import file_name
+from sb3_adaptive_q.plots import plot_policy
+from sb3_adaptive_q.plots.style import COLORS, INK, tidy
 
-ARROWS = ((-1, 0), (0, 1), (1, 0), (0, -1))  # left, down, right, up as (x, y), y pointing down
+GREEN, BLUE = COLORS[4], COLORS[6]
+GREY = "#AAAAAA"
 
 
 def make_figures(results: Results, gamma: float) -> Iterator[tuple[str, str, str, Figure]]:
@@ -31,9 +33,8 @@ def make_figures(results: Results, gamma: float) -> Iterator[tuple[str, str, str
     for system in results.systems:
         title = title_of(system)
         yield system, f"all_methods_{file_name(system)}", f"{title}: all methods", all_methods_figure(results, system)
-        letters = lake_map(system)
-        if letters is not None:
-            figure = policies_figure(results, system, letters, optimal_values(system, gamma))
+        if is_lake(system):
+            figure = policies_figure(results, system, optimal_values(system, gamma))
             yield system, f"policies_{file_name(system)}", f"{title}: greedy actions and values", figure
         yield from _pair_figures(results, system)
 
@@ -66,7 +67,7 @@ def pair_figure(results: Results, system: str, methods: list[str]) -> Figure:
     for (left, right), method in zip(axes, methods, strict=True):
         _draw_reward(left, results.series[system, method], system)
         _draw_rate(right, results.series[system, method])
-        left.set_title(f"{method}: reward", loc="left")
+        left.set_title(f"{method}: return", loc="left")
         number = PAPER_METHODS.index(method) + 1 if method in PAPER_METHODS else 0
         right.set_title(f"{method}: {METHODS[number].formula if number else 'μ'}", loc="left", fontsize="small")
     for axis in axes[-1]:
@@ -79,7 +80,7 @@ def pair_figure(results: Results, system: str, methods: list[str]) -> Figure:
 
 def _draw_reward(axis: Axes, series: Series, system: str) -> None:
     _draw_with_mean(axis, series.returns, BLUE, GREEN)
-    axis.set_ylabel("reward of an episode")
+    axis.set_ylabel("return per episode")
     if system in PAPER_SYSTEMS:
         limit = PAPER_SYSTEMS[system].limit
         axis.set_ylim(-0.03 * limit, 1.05 * limit)
@@ -87,7 +88,7 @@ def _draw_reward(axis: Axes, series: Series, system: str) -> None:
 
 def _draw_rate(axis: Axes, series: Series) -> None:
     _draw_with_mean(axis, series.mu, GREY, INK)
-    axis.set_ylabel("μ at the episode's end")
+    axis.set_ylabel("μ at the end of the episode")
     # The axis is shared: the larger rate decides, and the legend needs room above it
     axis.set_ylim(0.0, max(axis.get_ylim()[1], 1.35 * float(series.mu.max())))
 
@@ -95,7 +96,7 @@ def _draw_rate(axis: Axes, series: Series) -> None:
 def _draw_with_mean(axis: Axes, values: np.ndarray, color: str, mean_color: str) -> None:
     episodes = np.arange(1, len(values) + 1)
     axis.plot(episodes, values, color=color, linewidth=0.4, rasterized=True, label="mean over the runs")
-    label = f"its mean over {WINDOW} episodes"
+    label = f"the same, mean of the last {WINDOW} episodes"
     axis.plot(episodes, trailing_mean(values), color=mean_color, linewidth=1.8, rasterized=True, label=label)
     tidy(axis)
 
@@ -132,22 +133,20 @@ def all_methods_figure(results: Results, system: str) -> Figure:
     return figure
 
 
-def lake_map(system: str) -> np.ndarray | None:
+def is_lake(system: str) -> bool:
     """
     :param system: the name of an environment
-    :return: the letters of its map, of shape (rows, columns), if it is a registered Frozen Lake
+    :return: whether it is a registered Frozen Lake
     """
-    env: Any = make_env(system).unwrapped
-    return np.array(env.desc).astype(str) if isinstance(env, FrozenLakeEnv) and system in gym.registry else None
+    return system in gym.registry and isinstance(make_env(system).unwrapped, FrozenLakeEnv)
 
 
-def policies_figure(results: Results, system: str, letters: np.ndarray, optimal: np.ndarray) -> Figure:
+def policies_figure(results: Results, system: str, optimal: np.ndarray) -> Figure:
     """
     A Frozen Lake with the values and the greedy actions of every method's first run, beside the optimal ones.
 
     :param results: of a study
     :param system: one of its systems
-    :param letters: its map
     :param optimal: Q*
     :return: the figure
     """
@@ -155,40 +154,13 @@ def policies_figure(results: Results, system: str, letters: np.ndarray, optimal:
     tables |= {f"{method}, run 0": results.q_tables[system, method] for method in results.methods(system)}
     columns = min(3, len(tables))
     rows = -(-len(tables) // columns)
-    side = max(3.0, 0.62 * letters.shape[1])
-    figure = Figure(figsize=(side * columns, side * rows + 0.5), layout="constrained")
+    side = max(3.0, 0.7 * len(optimal) ** 0.5)
+    figure = Figure(figsize=(side * columns, (side + 0.3) * rows + 0.5), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes[len(tables) :]:
         axis.set_axis_off()
     for axis, (title, table) in zip(axes, tables.items(), strict=False):
-        image = _draw_lake(axis, letters, table, max(float(optimal.max()), 1e-9))
+        plot_policy(table, system, ax=axis, limits=(0.0, max(float(optimal.max()), 1e-9)))
         axis.set_title(title, loc="left", fontsize="medium")
-    figure.colorbar(image, ax=list(axes), label="max Q(s, ·)", shrink=0.6, aspect=30)
     figure.suptitle(f"{title_of(system)}: greedy actions and values")
     return figure
-
-
-def _draw_lake(axis: Axes, letters: np.ndarray, table: np.ndarray, largest: float) -> Any:
-    values = table.max(axis=1).reshape(letters.shape)
-    image = axis.imshow(values, cmap="cividis", vmin=0.0, vmax=largest)
-    for (row, column), letter in np.ndenumerate(letters):
-        color = "black" if values[row, column] > 0.55 * largest else "white"
-        if letter in "HG":
-            axis.text(column, row, letter, ha="center", va="center", color=color, fontweight="bold", fontsize="large")
-            continue
-        axis.text(column, row + 0.36, f"{values[row, column]:.2f}", ha="center", va="center", color=color, fontsize="x-small")
-        _draw_greedy_action(axis, row, column, table[row * letters.shape[1] + column], color)
-    axis.set_xticks(np.arange(0.5, letters.shape[1] - 1), [])
-    axis.set_yticks(np.arange(0.5, letters.shape[0] - 1), [])
-    axis.tick_params(length=0)
-    axis.grid(color="white", linewidth=0.8)
-    return image
-
-
-def _draw_greedy_action(axis: Axes, row: int, column: int, values: np.ndarray, color: str) -> None:
-    if np.all(values == values[0]):  # nothing learned here
-        return
-    x, y = ARROWS[int(values.argmax())]
-    start = (column - 0.22 * x, row - 0.1 - 0.22 * y)
-    end = (column + 0.22 * x, row - 0.1 + 0.22 * y)
-    axis.annotate("", xy=end, xytext=start, arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": 1.4})

@@ -28,6 +28,7 @@ CLAIM_NOTE = (
     "*inconclusive*: with this number of runs the difference is not significant, which does not mean that the methods are "
     "equal. Every run has a seed of its own, so the runs of two methods are independent samples."
 )
+PAIR_TEST = "Mann-Whitney tests of all pairs, corrected after Holm at the 5 % level"
 #: For each system the names of the files of its figures, with their captions
 Figures = Mapping[str, Sequence[tuple[str, str]]]
 
@@ -94,7 +95,14 @@ def _claims(judgements: Sequence[Judgement]) -> str:
         ]
         for each in judgements
     ]
-    header = ["claim", "system", "what the paper says", "verdict", "effect [95 % interval]", "unit of the effect"]
+    header = [
+        "claim",
+        "system",
+        "what the paper says",
+        "verdict",
+        "effect [95 % interval]",
+        "what the effect is, and its unit",
+    ]
     table = markdown_table([*header, "probability of being the best (bootstrap)"], rows)
     return f"## The paper's claims\n\n{CLAIM_NOTE}\n\n{table}"
 
@@ -112,7 +120,7 @@ def _comparison(samples: Samples, measure: str) -> str:
         [method, format_estimate(*estimate(interquartile_mean, values)), format_number(best[method])]
         for method, values in samples.items()
     ]
-    table = markdown_table(["method", "interquartile mean", "probability of being the best (bootstrap)"], rows)
+    table = markdown_table(["method", "interquartile mean (return)", "probability of being the best (bootstrap)"], rows)
     return f"### Comparison by the {measure}\n\n{table}\n\n{_tests(samples)}"
 
 
@@ -120,18 +128,22 @@ def _tests(samples: Samples) -> str:
     if len(samples) < 2 or min(map(len, samples.values())) < 2:
         return "No tests: they need two methods and two runs."
     pairs = [pair for pair in compare_pairs(samples) if pair.is_significant]
-    text = f"Kruskal-Wallis test that all methods are alike: {p_value(kruskal_wallis(samples))}. " if len(samples) > 2 else ""
+    text = (
+        f"Kruskal-Wallis test of no difference between the methods: {p_value(kruskal_wallis(samples))}. "
+        if len(samples) > 2
+        else ""
+    )
     if not pairs:
-        return f"{text}No two methods differ significantly with this number of runs (Mann-Whitney, Holm)."
+        return f"{text}Inconclusive: no two methods differ significantly with this number of runs ({PAIR_TEST})."
     header = [
         "better",
         "worse",
-        "difference of the means",
-        "p (Holm)",
-        "probability that a run of the better one beats the other's",
+        "difference of the means (return)",
+        "p value (Holm)",
+        "probability that a run of the better one has the larger return",
     ]
     table = markdown_table(header, [_pair_row(pair) for pair in pairs])
-    return f"{text}The pairs that differ significantly (Mann-Whitney, Holm):\n\n{table}"
+    return f"{text}The pairs that differ significantly ({PAIR_TEST}):\n\n{table}"
 
 
 def _pair_row(pair: Pair) -> list[str]:

@@ -72,23 +72,24 @@ class StudySettings:
     :param algorithms: names, or module:name of a class
     :param runs: independent runs of each method
     :param episodes: episodes of a run
-    :param seed: of the whole study; every run's own seed is derived from it
-    :param sweep: name=value,value,... tries every value of one of these settings, of an argument of the algorithm, or of a
-        parameter of a method; can be given several times
+    :param seed: seed of the whole study; the seed of every run follows from it
+    :param sweep: name=value,value,... runs the study once for every value. The name is one of these settings, an argument of
+        the algorithm or a parameter of a method. Can be given several times
     :param gamma: discount factor γ
-    :param exploration_fraction: fraction of the episodes over which ε falls
+    :param exploration_fraction: fraction of the episodes in which ε falls
     :param exploration_initial_eps: ε at the start
     :param exploration_final_eps: ε at the end
     :param beta_1: μ of Method 1, the lower end of Methods 3 and 4, and where Methods 5 to 8 start from
     :param beta_2: μ of Method 2
-    :param beta_3: what Methods 3 and 4 add to beta_1
-    :param beta_5: what Methods 5 and 6 multiply the change of value with
-    :param beta_6: what μ moves by at every update in Methods 7 and 8
-    :param beta_7: least μ of Methods 5 to 8
+    :param beta_3: the difference between the ends of μ in Methods 3 and 4
+    :param beta_5: factor of the change of value in Methods 5 and 6
+    :param beta_6: change of μ at every update in Methods 7 and 8
+    :param beta_7: smallest μ of Methods 5 to 8
     :param beta_8: largest μ of Methods 5 to 8
     :param preset: literal reads Equations 7 to 11 as they stand; table8 is the reading that comes closest to the paper's Table
         8, chosen by fitting, so not evidence for it
-    :param next_action: whose value in the next state Methods 5 to 8 look at: same, next or max; the preset's if not given
+    :param next_action: the action whose value in the next state Methods 5 to 8 look at: same (the action just taken),
+        next (the one taken next) or max (the best one); default: as the preset has it
     :raises DesignError: if one of these is out of range
     """
 
@@ -135,7 +136,7 @@ class StudySettings:
         """
         swept = dict(map(parse_sweep, self.sweep))
         if len(swept) < len(self.sweep):
-            raise DesignError("A name can be swept once: give all its values together.")
+            raise DesignError("--sweep names a setting twice: give all its values in one --sweep.")
         settings = {name: swept.pop(name, getattr(self, name)) for name in OF_ALGORITHM}
         settings["total_episodes"] = swept.pop("episodes", self.episodes)
         settings["ties"] = swept.pop("ties", "first")

@@ -15,9 +15,10 @@ from sb3_adaptive_q.planning import action_values, value_iteration
 STATISTICS = ("min", "max", "avg", "avg_100", "std")
 
 NOTE = (
-    "min, max, avg and std are over the return of the last episode of every run (std with divisor n); avg_100 is the mean "
-    "over the runs of the mean return of the last 100 episodes. Brackets hold 95 % percentile bootstrap intervals; the least "
-    "and the largest of a sample have none that would be valid."
+    "All numbers are returns, the sum of the rewards of an episode. min, max, avg and std are over the return of the last "
+    "episode of every run (std with divisor n); avg_100 is the mean over the runs of the mean return of the last 100 "
+    "episodes. Brackets hold 95 % percentile bootstrap intervals; there is no valid one for the smallest and the largest "
+    "value of a sample."
 )
 
 
