@@ -94,6 +94,7 @@ class TabularExperiment(ExperimentManager):
             options["config"] = str(CONFIG)
         super().__init__(args, algo, *arguments, **options)
         self.ours = ours
+        self.resumed = False
         self.vec_env_class = VEC_ENVS[ours.vec_env]
         args.vec_env = ours.vec_env
         if algo in ALGORITHMS:
@@ -108,6 +109,37 @@ class TabularExperiment(ExperimentManager):
         results = super().setup_experiment()
         self.ours.started = True
         return results
+
+    def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
+        """What ``-i`` asks for: the training of the file goes on, unless it is over, or the command line asks for another."""
+        if self.algo in ALGORITHMS and not self.custom_hyperparams:
+            model = ALGORITHMS[self.algo].resume(
+                self.trained_agent, env, tensorboard_log=self.tensorboard_log, verbose=self.verbose
+            )
+            if model.remaining_timesteps > 0:
+                print(f"Going on with the training of {self.trained_agent}, which has {model.remaining_timesteps} steps left")
+                self.resumed = True
+                return model
+        return super()._load_pretrained_agent(hyperparams, env)
+
+    def learn(self, model: BaseAlgorithm) -> None:
+        """
+        Train, or go on with the training that was resumed, to its end or until it is interrupted.
+
+        :param model: the model
+        """
+        if not self.resumed:
+            super().learn(model)
+            return
+        try:
+            model.finish(self.callbacks)  # type: ignore[attr-defined]  # of a tabular algorithm
+        except KeyboardInterrupt:
+            pass  # what was learned is saved, as in RL Zoo
+        finally:
+            for callback in self.callbacks[:1]:  # a progress bar, which is to be closed
+                callback.on_training_end()
+            assert model.env is not None
+            model.env.close()
 
     def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
         """
