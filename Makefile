@@ -5,6 +5,9 @@ VENV ?= .venv
 JOBS ?= 2
 # Further arguments for train.py, pytest or the study, for example: make train ARGS="--env Taxi-v4 --method 3"
 ARGS ?=
+# Tests that work without the compiler.
+PLAIN := tests/test_step_sizes_golden.py tests/test_algorithms_golden.py tests/test_step_sizes.py tests/test_update.py \
+	tests/test_algorithms_behaviour.py tests/test_planning.py tests/test_truth.py
 # Where training leaves its TensorBoard log.
 LOG ?= runs
 
@@ -25,7 +28,7 @@ endef
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help train test fuzz endurance exhaustive boundscheck lint types docs benchmark study tensorboard wheel clean
+.PHONY: help train test fuzz endurance coverage mutate exhaustive boundscheck lint types docs benchmark study tensorboard wheel clean
 
 help:  ## List the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | awk -F '\t' '{ printf "  make %-12s %s\n", $$1, $$2 }'
@@ -39,8 +42,20 @@ test: $(DEV)  ## Run the test suite
 fuzz: $(DEV)  ## Try 5 000 random decision processes on both paths
 	FUZZ_CASES=5000 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/test_random_mdps.py $(ARGS)
 
-endurance: $(DEV)  ## Kill trainings at fifty random moments, and let them go on
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/endurance/*.py $(ARGS)
+endurance: $(DEV)  ## Fifty kills, ten thousand million transitions, trainings side by side (about half an hour)
+	EXHAUSTIVE=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/endurance/*.py tests/test_resume.py::TestKilled $(ARGS)
+
+# Lines of functions that become machine code are seen where Python runs them, without the compiler.
+coverage: $(DEV)  ## Run the test suite, and tell the lines that it does not reach
+	$(BIN)/coverage erase
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -k "not compiled" $(PLAIN)
+	$(BIN)/coverage run -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
+
+mutate: $(DEV)  ## Change the equations one by one, and tell the changes that no test finds (see tests/mutants.md)
+	NUMBA_DISABLE_JIT=1 $(BIN)/mutmut run --max-children $(JOBS) $(ARGS)
+	$(BIN)/mutmut results
 
 exhaustive: $(DEV)  ## Run what the test suite has samples of, whole: all pairs of choices, 400 interrupts
 	EXHAUSTIVE=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/test_algorithms_paths.py tests/test_interrupts.py $(ARGS)

@@ -181,6 +181,35 @@ def test_entries_of_the_yaml_file_learn(env_id: str, run: Run, capsys: pytest.Ca
     assert run.model(env_id).num_timesteps == yaml.safe_load(zoo.CONFIG.read_text())[env_id]["n_timesteps"]
 
 
+def test_evaluations_end_where_the_environment_has_no_limit(
+    run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(zoo, "EVALUATION_LIMIT", 7)
+    monkeypatch.setattr(zoo, "N_EVALUATION_EPISODES", 20)
+    run("--env", "RingWalk-v0", "--eval-freq", "1000")
+    with np.load(run.path("RingWalk-v0") / "evaluations.npz") as evaluations:
+        assert (evaluations["ep_lengths"] == 7).all()
+    assert "each of at most 7 steps" in printed(capsys.readouterr().out, "Greedy policy, 20 episodes")
+
+
+def test_evaluations_have_the_arguments_of_the_yaml_file(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zoo, "N_EVALUATION_EPISODES", 20)
+    (tmp_path / "dry.yml").write_text(
+        yaml.safe_dump({"FrozenLake-v1": {**CONFIG["FrozenLake-v1"], "env_kwargs": {"is_slippery": False}}})
+    )
+    made = []
+    create_envs = zoo.TabularExperiment.create_envs
+
+    def spy(self: zoo.TabularExperiment, *positional: Any, **named: Any) -> VecEnv:
+        env = create_envs(self, *positional, **named)
+        made.append(len(env.get_attr("P")[0][0][0]))
+        return env
+
+    monkeypatch.setattr(zoo.TabularExperiment, "create_envs", spy)
+    run("-conf", "dry.yml", "--eval-freq", "1000")
+    assert made == [1, 1, 1]  # outcomes of an action: on ice there are 3
+
+
 # Our own options
 
 
@@ -296,6 +325,18 @@ def test_continue_with_another_method(run: Run) -> None:
     assert table.any() and (run.model(number=2).q_table != table).sum() <= 1
 
 
+@pytest.mark.parametrize("vec_env", ["dummy", "compiled"])
+def test_continue_from_a_checkpoint(vec_env: str, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    """As if nothing had happened: the seed and the number of steps are those of the training that was broken off."""
+    run("--vec-env", vec_env, "--save-freq", "700")
+    capsys.readouterr()
+    run("--vec-env", vec_env, "-i", str(run.path() / "rl_model_700_steps.zip"), "--seed", "7", "-n", "5")
+    assert "rl_model_700_steps.zip, which has 1300 steps left" in capsys.readouterr().out
+    whole, rest = run.model(), run.model(number=2)
+    assert rest.q_table.tobytes() == whole.q_table.tobytes()
+    assert rest.training.as_data() == whole.training.as_data()
+
+
 def test_optimize(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     run("--optimize", "--n-trials", "4", "--pruner", "none", "--no-optim-plots")
     (report,) = (run.folder / "tabular_q").glob("report_*.csv")
@@ -311,6 +352,13 @@ def test_enjoy_plays_the_saved_model(run: Run, config: str, capsys: pytest.Captu
     output = capsys.readouterr().out
     (mean,) = re.findall(r"Mean reward: ([\d.]+) ", output)
     assert 1.0 <= float(mean) <= 200.0
+
+
+def test_record_video_films_the_saved_model(run: Run, config: str, tmp_path: Path) -> None:
+    run("--env", "FrozenLake-v1")
+    zoo.main(["record-video", "-f", str(run.folder), "-o", str(tmp_path / "film"), "-n", "3"])
+    (film,) = (tmp_path / "film").glob("*.mp4")
+    assert film.stat().st_size > 0
 
 
 # Mistakes
