@@ -2,6 +2,7 @@
 
 import io
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -51,9 +52,14 @@ class TestRuns:
 
 class TestPlot:
     @pytest.fixture(autouse=True)
-    def headless(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def headless(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+        import matplotlib.pyplot as plt
+
         monkeypatch.setattr(sys, "argv", ["train.py"])
-        pytest.importorskip("matplotlib").use("agg")
+        plt.switch_backend("agg")
+        yield
+        monkeypatch.undo()
+        plt.close("all")
 
     def run(self, folder: Path, returns: list[float]) -> None:
         """A training as a Monitor writes it down."""

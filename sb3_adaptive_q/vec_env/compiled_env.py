@@ -165,10 +165,11 @@ def _dynamics_of(env: gym.Env) -> type[Dynamics]:
 def _peel_completely(env: gym.Env) -> Layers:
     layers = peel(env)
     if isinstance(layers.inner, gym.Wrapper):
+        kind = type(layers.inner)
         raise ValueError(
-            f"CompiledVecEnv cannot compile the wrapper {layers.inner.class_name()} at its place: it compiles a Monitor, "
-            "a DiscretizeObservation (this package's or gymnasium's) around or inside it, a TimeLimit inside them and "
-            "gymnasium's own checks innermost. Use LeanVecEnv, which works with everything."
+            f"CompiledVecEnv cannot compile the wrapper {kind.__qualname__} of {kind.__module__} at its place: it compiles a "
+            "Monitor, a DiscretizeObservation (this package's or gymnasium's) around or inside it, a TimeLimit inside them "
+            "and gymnasium's own checks innermost. Use LeanVecEnv, which works with everything."
         )
     if layers.monitor is not None and layers.monitor.info_keywords:
         raise ValueError(
