@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sb3_adaptive_q import step_sizes
+from sb3_adaptive_q.step_sizes.counts import horizon
 from sb3_adaptive_q.step_sizes.adaptive import delta_bar_delta, have_opposite_signs, obgd
 from sb3_adaptive_q.step_sizes import STEP_SIZES, Description, Parameter, describe, find_step_size, paper, resolve_parameters
 
@@ -90,6 +91,10 @@ class TestByHand:
     def test_obgd(self, alpha: float, kappa: float, error: float, size: float) -> None:
         """α / max(1, α κ max(|δ|, 1))."""
         assert obgd(0.0, make_step(td_error=error), alpha, kappa) == size
+
+    def test_a_horizon_of_0_without_discounting(self) -> None:
+        """1/n, as everywhere."""
+        assert [horizon(0.0, make_step(count=n, gamma=1.0), 0.0) for n in (1.0, 2.0, 4.0)] == [1.0, 0.5, 0.25]
 
 
 class TestParameters:
