@@ -8,7 +8,7 @@ COMMANDS = {
     "train": ("sb3_adaptive_q.zoo", "main", "zoo", "train an agent with RL Zoo"),
     "enjoy": ("sb3_adaptive_q.zoo", "main", "zoo", "show a trained agent"),
     "record-video": ("sb3_adaptive_q.zoo", "main", "zoo", "record a video of a trained agent"),
-    "plot": ("sb3_adaptive_q.zoo", "main", "zoo", "plot how agents learned"),
+    "plot": ("sb3_adaptive_q.zoo", "main", "zoo-plots", "plot how agents learned"),
     "study": ("sb3_adaptive_q.experiments.paper.command", "main", "study", "repeat the paper's experiment"),
     "league": ("sb3_adaptive_q.experiments.league.command", "main", "study", "compare step sizes on many environments"),
     "methods": ("sb3_adaptive_q.listing", "main", "", "list the methods with formulas and parameters"),

@@ -50,9 +50,22 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
     """
     An algorithm that learns a table of action values, under the interface of Stable-Baselines3.
 
-    A subclass needs one attribute, :attr:`update`, a plain function of numbers and arrays; see
-    :func:`sb3_adaptive_q.algorithms.q_learning.q_learning` for its arguments. It may also declare further tables, arrays of a
-    training and parameters, by what :class:`~sb3_adaptive_q.algorithms.declaration.AlgorithmDeclaration` has.
+    A subclass must have one attribute:
+
+    - :attr:`update`, a plain function of numbers and arrays, which is compiled. It learns from one transition and chooses the
+      next action; see :func:`sb3_adaptive_q.algorithms.q_learning.q_learning`, the shortest one, for its arguments and what
+      it returns. Where arguments of the constructor decide between several functions, :meth:`update_function` gives it.
+
+    It may also say the following, each where the update needs it:
+
+    - :meth:`update_parameters`: numbers of the algorithm such as λ, which the update finds in ``agent.parameters``. The
+      constructor keeps its own arguments as attributes of their names before it calls this one; so they are saved too.
+    - :attr:`chooses_before_update` is true where the next action is drawn from the table before the update.
+    - :attr:`updates_one_entry` is false where an update changes more than one entry of ``q_table``.
+    - :meth:`extra_tables`: further tables of action values, which are saved; :attr:`n_tables` says for how many of them
+      the step size has memory.
+    - :meth:`working_arrays`: what belongs to the episodes of each environment, such as traces, with
+      :meth:`check_working_arrays` for those that come from a file.
 
     :param policy: ``"MlpPolicy"``, which is the table; the name is SB3's, no network is involved
     :param env: the environment to learn from, or its id; ``None`` for a model that is only loaded to predict

@@ -9,6 +9,7 @@ from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
+from gymnasium.wrappers import DiscretizeObservation as GymnasiumDiscretizeObservation
 from gymnasium.wrappers import (
     OrderEnforcing,
     PassiveEnvChecker,
@@ -47,7 +48,8 @@ _SAME_AS = {"rl_zoo3.gym_patches:PatchedTimeLimit": _TIME_LIMIT}
 _STATE_OF_WRAPPER: dict[str, tuple[str, ...]] = {
     path_of(Monitor): ("rewards", "needs_reset", "total_steps", "current_reset_info"),
     _TIME_LIMIT: ("_elapsed_steps",),
-    **{path_of(kind): () for kind in (OrderEnforcing, PassiveEnvChecker, DiscretizeObservation)},
+    **{path_of(kind): () for kind in (OrderEnforcing, PassiveEnvChecker)},
+    **{path_of(kind): () for kind in (DiscretizeObservation, GymnasiumDiscretizeObservation)},
     **{path_of(kind): () for kind in (TransformAction, TransformObservation, TransformReward)},
 }
 

@@ -7,7 +7,6 @@ import shutil
 import sys
 from collections.abc import Callable
 from functools import partial
-from itertools import count
 from math import sqrt
 from pathlib import Path
 from statistics import fmean, stdev
@@ -43,8 +42,8 @@ DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
 #: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
 N_EVALUATION_EPISODES = 500
 N_EVALUATION_ENVS = 10
-#: Of each environment. Without a step limit, a greedy policy may walk against a wall for ever
-MOST_EVALUATION_STEPS = 200_000
+#: Steps of an episode of an evaluation where the environment has no limit. A greedy policy may walk against a wall for ever
+EVALUATION_LIMIT = 1000
 #: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
 #: What a mistake on the command line or in the YAML file raises while an experiment is set up
@@ -79,10 +78,6 @@ def merge_method(hyperparams: dict[str, Any] | None, method: int | str | None) -
     elif "learning_rate" in merged:
         merged.update(method=None, method_kwargs=None)
     return merged
-
-
-class _NoEnd(Exception):
-    """The evaluation takes too long."""
 
 
 class TabularExperiment(ExperimentManager):
@@ -146,6 +141,26 @@ class TabularExperiment(ExperimentManager):
             assert model.env is not None
             model.env.close()
 
+    def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
+        """
+        Make the environments of the training or of an evaluation. An evaluation gets the ``env_kwargs`` of the YAML file,
+        which RL Zoo leaves out, and a limit of steps where the environment has none.
+
+        :param n_envs: how many
+        :param eval_env: whether they are for an evaluation
+        :param no_log: whether to leave the Monitor's file out
+        :return: the environments
+        """
+        if eval_env and self._eval_env_kwargs_args is None:
+            self.eval_env_kwargs = dict(self.env_kwargs)
+        if eval_env and self._has_no_limit():
+            self.eval_env_kwargs = {**self.eval_env_kwargs, "max_episode_steps": EVALUATION_LIMIT}
+        return super().create_envs(n_envs, eval_env, no_log)
+
+    def _has_no_limit(self) -> bool:
+        given = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
+        return gym.spec(self.env_name.gym_id).max_episode_steps is None and "max_episode_steps" not in given
+
     def save_trained_model(self, model: BaseAlgorithm) -> None:
         """
         Save the model, and print what came of the training.
@@ -155,15 +170,12 @@ class TabularExperiment(ExperimentManager):
         super().save_trained_model(model)
         recent = [info["r"] for info in model.ep_info_buffer or ()]
         greedy = self._greedy_rewards(model)
-        for output in tensorboard_outputs(model) if greedy else ():
+        for output in tensorboard_outputs(model):
             # Under the tag of SB3's EvalCallback, whose evaluations are of few episodes
             output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
-            (
-                f"Greedy policy, {len(greedy) or N_EVALUATION_EPISODES} episodes",
-                describe(greedy) if greedy else f"did not end within {MOST_EVALUATION_STEPS} steps of each environment",
-            ),
+            (f"Greedy policy, {len(greedy)} episodes", describe(greedy) + self._limit_in_words()),
             ("Model", f"{self.save_path}/{self.env_name}.zip"),
             *self._tensorboard_rows(model),
         ]
@@ -179,22 +191,15 @@ class TabularExperiment(ExperimentManager):
                 "--sampler tpe"
             )
 
+    def _limit_in_words(self) -> str:
+        return f", each of at most {EVALUATION_LIMIT} steps" if self._has_no_limit() else ""
+
     def _greedy_rewards(self, model: BaseAlgorithm) -> list[float]:
         # Played in the ordinary environment, however the model was trained
         self.vec_env_class = LeanVecEnv
         env = self.create_envs(N_EVALUATION_ENVS, eval_env=True)
-        steps = count()
-
-        def stop_in_time(*_: Any) -> None:
-            if next(steps) > MOST_EVALUATION_STEPS * N_EVALUATION_ENVS:
-                raise _NoEnd
-
-        try:
-            rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, callback=stop_in_time, return_episode_rewards=True)
-        except _NoEnd:
-            return []
-        finally:
-            env.close()
+        rewards, _ = evaluate_policy(model, env, N_EVALUATION_EPISODES, return_episode_rewards=True)
+        env.close()
         assert isinstance(rewards, list)
         return rewards
 

@@ -45,7 +45,7 @@ def plot_training(arguments: list[str]) -> None:
         import matplotlib.pyplot as plt
         from rl_zoo3.plots.plot_train import plot_train
     except ModuleNotFoundError as error:
-        sys.exit(f"error: plot needs {error.name}: install it with  pip install 'sb3-adaptive-q[zoo]'")
+        sys.exit(f"error: plot needs {error.name}: install it with  pip install 'sb3-adaptive-q[zoo-plots]'")
     if ours.output:
         plt.switch_backend("agg")
     elif plt.get_backend().lower() == "agg" and not {"-h", "--help"} & set(rest):

@@ -9,10 +9,13 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import TimeLimit
 from scipy import stats
+from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_with_masks
+from sb3_contrib.common.wrappers import ActionMasker
 from scipy.special import softmax
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor
 
 from sb3_adaptive_q import (
     ALGORITHMS,
@@ -289,6 +292,15 @@ class TestMasks:
             assert reward in (-1, 20)
             if terminated or truncated:
                 observation, info = env.reset()
+
+    def test_sb3_contrib_evaluates_with_masks(self) -> None:
+        """By the names of its own evaluation, which asks the environment for ``action_masks``: no step costs more than 1."""
+        model = TabularQ("MlpPolicy", "Taxi-v4", seed=0)
+        model.q_table[:, 5] = 1.0  # to drop a passenger, which is illegal almost everywhere and then costs 10
+        env = ActionMasker(Monitor(gym.make("Taxi-v4")), lambda env: env.unwrapped.action_mask(env.unwrapped.s))
+        for use_masking, low, high in ((True, -200.0, 20.0), (False, -2000.0, -1000.0)):
+            returns, _ = evaluate_with_masks(model, env, 3, use_masking=use_masking, return_episode_rewards=True)  # type: ignore[arg-type]
+            assert all(low <= each <= high for each in returns)  # type: ignore[union-attr]
 
     def test_what_was_seen_is_kept_and_saved(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
         """The greedy policy then needs no masks: it would take forbidden actions, whose values are those of the start."""

@@ -7,13 +7,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from helpers.environments import Episode, RenumberAction, SampledEnv, ScriptedEnv, Step
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor, load_results
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
-from sb3_adaptive_q import LeanVecEnv
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
 from sb3_adaptive_q.vec_env.protocol import check_is_single_env, find_fault_of_step
 from wrappers import DiscretizeObservation
 
@@ -724,3 +725,42 @@ class TestOneEnvironment:
     def test_none(self, env):
         with pytest.raises(ValueError, match=r"Expected a gymnasium environment.*but got .*hand over one of these"):
             check_is_single_env(env)
+
+
+class TestCompiledChangedAfterwards:
+    """The compiled path looks again at every call of ``learn``."""
+
+    def model(self):
+        return TabularQ("MlpPolicy", CompiledVecEnv([lambda: Monitor(gym.make("FrozenLake-v1"))]), seed=0, learning_rate=0.5)
+
+    def test_another_environment_is_the_one_that_is_learned_from(self):
+        model = self.model()
+
+        def make():
+            return Monitor(gym.make("FrozenLake-v1", is_slippery=False))
+
+        model.get_env().envs[0] = make()
+        model.get_env().seed(0)
+        model.learn(2000)
+        other = TabularQ("MlpPolicy", LeanVecEnv([make]), seed=0, learning_rate=0.5)
+        np.testing.assert_array_equal(model.q_table, other.learn(2000).q_table)
+
+    @pytest.mark.parametrize("change", [replace_env, lambda env: patch(env.envs[0].unwrapped), wrap_inside_monitor])
+    def test_what_does_not_compile_is_refused(self, change):
+        model = self.model().learn(500)
+        change(model.get_env())
+        with pytest.raises(ValueError, match=r"CompiledVecEnv c.*LeanVecEnv"):
+            model.learn(500)
+
+    def test_an_environment_that_is_new_is_compared(self):
+        class Lying(FrozenLakeEnv):
+            compile_by_table = True
+
+            def step(self, action):
+                observation, reward, *rest = super().step(action)
+                return observation, reward + 1.0, *rest
+
+        model = self.model().learn(100)
+        model.get_env().envs[0] = Monitor(gym.wrappers.TimeLimit(Lying(), 100))
+        with pytest.raises(ValueError, match="Lying does not step as TabularDynamics does"):
+            model.learn(100)

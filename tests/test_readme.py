@@ -23,19 +23,26 @@ BLOCKS = [
     if path.parent.name != "generated"
     for i, block in enumerate(blocks_of(path))
 ]
+#: What the README says that a block prints
+OUTPUTS = dict(re.findall(r"^```python\n(.*?)^```[^`]*^```text\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE))
 
 
 @pytest.mark.parametrize("name, block", [pytest.param(name, block, id=f"{name}-{i}") for name, i, block in BLOCKS])
-def test_a_block_runs_alone(name: str, block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_block_runs_alone(
+    name: str, block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {"__name__": "readme"}
     exec(compile(block, name, "exec"), namespace)
+    printed = OUTPUTS.get(block)
+    assert printed is None or capsys.readouterr().out == printed
     model = namespace.get("model")
     assert model is None or (np.isfinite(model.q_table).all() and model.q_table.any())
 
 
 def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
+    assert len(OUTPUTS) == 1
     assert len(blocks_of(ROOT / "README.md")) >= 4
 
 

@@ -11,12 +11,15 @@ from gymnasium import spaces
 from helpers.environments import Episode, RenumberObservation, SampledEnv, ScriptedEnv, Step
 from hypothesis import given
 from hypothesis import strategies as st
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import LeanVecEnv, TabularQ
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
 from sb3_adaptive_q.policies import TabularQPolicy
+from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.state_index import is_finite, make_state_index
+from sb3_adaptive_q.vec_env import Dynamics, register_dynamics
 
 CARDS = spaces.Tuple([spaces.Discrete(32), spaces.Discrete(11), spaces.Discrete(2)])
 ROOM = spaces.Dict({"place": spaces.MultiDiscrete([2, 3], start=[1, -1]), "door": spaces.Discrete(2, start=5)})
@@ -407,6 +410,77 @@ class TestLearning:
         ]
         for table in tables[:-1]:
             np.testing.assert_array_equal(table, tables[-1])
+
+
+class Corridor(gym.Env):
+    """Two rows of three places; action 1 goes on, action 0 to the other row, each with a chance of 3 in 4."""
+
+    action_space = spaces.Discrete(2)
+    render_mode = None
+
+    def __init__(self, space):
+        self.observation_space = space
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.s = 0
+        return self._observe(), {}
+
+    def step(self, action):
+        if self.np_random.random() < 0.75:
+            self.s = self.s + 1 if action == 1 else (self.s + 3) % 6
+        at_end = self.s % 3 == 2
+        return self._observe(), float(at_end) * (1 + self.s // 3), at_end, False, {}
+
+    def _observe(self):
+        row, place = divmod(self.s, 3)
+        return (row, place) if isinstance(self.observation_space, spaces.Tuple) else {"a": row, "b": place}
+
+
+class _CorridorDynamics(Dynamics):
+    draws_from_words = True
+    parameters = ()
+
+    def read_state(self):
+        return int(self.env.s)
+
+    def write_state(self, state):
+        self.env.s = int(state)
+
+    @staticmethod
+    def reset(parameters, generator):
+        return 0
+
+    @staticmethod
+    def step(parameters, state, action, generator):
+        if random_float(generator) < 0.75:
+            state = state + 1 if action == 1 else (state + 3) % 6
+        at_end = state % 3 == 2
+        return state, (1.0 + state // 3 if at_end else 0.0), at_end
+
+    @staticmethod
+    def index(parameters, state):
+        return state
+
+
+class TestCompiled:
+    @pytest.mark.parametrize("kind", [spaces.Tuple, lambda parts: spaces.Dict(zip("ab", parts, strict=True))])
+    @pytest.mark.parametrize("n_envs", [1, 2])
+    def test_parts_are_learned_alike_on_both_paths(self, kind, n_envs, tmp_path):
+        register_dynamics(Corridor)(_CorridorDynamics)
+        space = kind([spaces.Discrete(2), spaces.Discrete(3)])
+        models = [
+            TabularQ("MlpPolicy", make_vec_env(lambda: Corridor(space), n_envs, vec_env_cls=cls), learning_rate=0.1, seed=0)
+            for cls in (LeanVecEnv, CompiledVecEnv)
+        ]
+        for model in models:
+            model.learn(600, log_interval=None).learn(400, reset_num_timesteps=False, log_interval=None)
+        np.testing.assert_array_equal(models[1].q_table, models[0].q_table)
+        assert_equal(models[1]._last_obs, models[0]._last_obs)
+        assert models[0].q_table[[1, 4], 1] == pytest.approx([1.0, 2.0], abs=0.02)  # the rewards at the ends of the rows
+        models[1].save(tmp_path / "model")
+        loaded = TabularQ.load(tmp_path / "model", env=models[1].get_env())
+        np.testing.assert_array_equal(loaded.learn(100, reset_num_timesteps=False).q_table.shape, (6, 2))
 
 
 class TestWhatIsNotInTheSpace:

@@ -181,6 +181,35 @@ def test_entries_of_the_yaml_file_learn(env_id: str, run: Run, capsys: pytest.Ca
     assert run.model(env_id).num_timesteps == yaml.safe_load(zoo.CONFIG.read_text())[env_id]["n_timesteps"]
 
 
+def test_evaluations_end_where_the_environment_has_no_limit(
+    run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(zoo, "EVALUATION_LIMIT", 7)
+    monkeypatch.setattr(zoo, "N_EVALUATION_EPISODES", 20)
+    run("--env", "RingWalk-v0", "--eval-freq", "1000")
+    with np.load(run.path("RingWalk-v0") / "evaluations.npz") as evaluations:
+        assert (evaluations["ep_lengths"] == 7).all()
+    assert "each of at most 7 steps" in printed(capsys.readouterr().out, "Greedy policy, 20 episodes")
+
+
+def test_evaluations_have_the_arguments_of_the_yaml_file(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zoo, "N_EVALUATION_EPISODES", 20)
+    (tmp_path / "dry.yml").write_text(
+        yaml.safe_dump({"FrozenLake-v1": {**CONFIG["FrozenLake-v1"], "env_kwargs": {"is_slippery": False}}})
+    )
+    made = []
+    create_envs = zoo.TabularExperiment.create_envs
+
+    def spy(self: zoo.TabularExperiment, *positional: Any, **named: Any) -> VecEnv:
+        env = create_envs(self, *positional, **named)
+        made.append(len(env.get_attr("P")[0][0][0]))
+        return env
+
+    monkeypatch.setattr(zoo.TabularExperiment, "create_envs", spy)
+    run("-conf", "dry.yml", "--eval-freq", "1000")
+    assert made == [1, 1, 1]  # outcomes of an action: on ice there are 3
+
+
 # Our own options
 
 

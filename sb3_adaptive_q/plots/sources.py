@@ -4,10 +4,11 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.wrappers import DiscretizeObservation as GymnasiumDiscretizeObservation
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q.state_index import make_state_index
-from sb3_adaptive_q.wrappers import DiscretizeObservation
+from sb3_adaptive_q.wrappers import DiscretizeObservation, edges_of
 
 _MEMORY = "memory:"
 
@@ -111,9 +112,10 @@ def find_components(model: Any, env: gym.Env[Any, Any] | None, n_states: int) ->
     :param n_states: the rows of the table
     :return: what the observations consist of
     """
-    discretizer = _find_discretizer(env)
-    if discretizer is not None and np.prod(discretizer.n_cells) == n_states:
-        return Components(discretizer.n_cells, (0,) * len(discretizer.n_cells), discretizer.edges)
+    edges = _find_edges(env)
+    cells = tuple(len(each) + 1 for each in edges)
+    if edges and np.prod(cells) == n_states:
+        return Components(cells, (0,) * len(cells), edges)
     space = getattr(model, "observation_space", None) or (None if env is None else env.observation_space)
     if space is not None:
         index = make_state_index(space)
@@ -122,9 +124,10 @@ def find_components(model: Any, env: gym.Env[Any, Any] | None, n_states: int) ->
     return Components((n_states,), (0,), None)
 
 
-def _find_discretizer(env: gym.Env[Any, Any] | None) -> DiscretizeObservation | None:
+def _find_edges(env: gym.Env[Any, Any] | None) -> tuple[np.ndarray, ...]:
+    """Those of the wrapper that discretises the observations; none without one."""
     while isinstance(env, gym.Wrapper):
-        if isinstance(env, DiscretizeObservation):
-            return env
+        if isinstance(env, DiscretizeObservation | GymnasiumDiscretizeObservation):
+            return edges_of(env)
         env = env.env
-    return None
+    return ()

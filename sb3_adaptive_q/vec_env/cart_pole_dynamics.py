@@ -22,7 +22,9 @@ class _CartPoleDynamics(Dynamics):
     def __init__(self, env: gym.Env, grid: Grid | None) -> None:
         super().__init__(env, grid)
         if grid is None:
-            raise ValueError(f"{type(env).__name__} compiles under `wrappers.DiscretizeObservation`: please wrap it.")
+            raise ValueError(
+                f"{type(env).__name__} compiles under `wrappers.DiscretizeObservation` or gymnasium's: please wrap it."
+            )
 
     def write_state(self, state: Any) -> None:
         super().write_state(state)

@@ -167,8 +167,8 @@ def _peel_completely(env: gym.Env) -> Layers:
     if isinstance(layers.inner, gym.Wrapper):
         raise ValueError(
             f"CompiledVecEnv cannot compile the wrapper {layers.inner.class_name()} at its place: it compiles a Monitor, "
-            "a DiscretizeObservation around or inside it, a TimeLimit inside them and gymnasium's own checks innermost. "
-            "Use LeanVecEnv, which works with everything."
+            "a DiscretizeObservation (this package's or gymnasium's) around or inside it, a TimeLimit inside them and "
+            "gymnasium's own checks innermost. Use LeanVecEnv, which works with everything."
         )
     if layers.monitor is not None and layers.monitor.info_keywords:
         raise ValueError(

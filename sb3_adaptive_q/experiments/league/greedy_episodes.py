@@ -31,8 +31,10 @@ def player(environment: str, arguments: dict[str, Any]) -> Play:
     key = str((environment, sorted(arguments.items())))
     if key not in made:
         env = reused_vec_env(environment, purpose="rollouts", **arguments)
-        in_machine_code = isinstance(env, CompiledVecEnv) and env.compile()[0].dynamics.draws_from_words
-        made[key] = _compiled_player(env) if in_machine_code else _ordinary_player(env)
+        if isinstance(env, CompiledVecEnv) and env.compile()[0].dynamics.draws_from_words:
+            made[key] = _compiled_player(env)
+        else:
+            made[key] = _ordinary_player(env)
     return made[key]
 
 
