@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sb3_adaptive_q import step_sizes
-from sb3_adaptive_q.step_sizes.counts import horizon
-from sb3_adaptive_q.step_sizes.adaptive import delta_bar_delta, have_opposite_signs, obgd
 from sb3_adaptive_q.step_sizes import STEP_SIZES, Description, Parameter, describe, find_step_size, paper, resolve_parameters
+from sb3_adaptive_q.step_sizes.adaptive import delta_bar_delta, have_opposite_signs, obgd
+from sb3_adaptive_q.step_sizes.counts import horizon
 
 NAMES = list(STEP_SIZES)
 PARAMETERS = [(name, key) for name, step_size in STEP_SIZES.items() for key in step_size.parameters]
