@@ -26,7 +26,7 @@ from sb3_adaptive_q import (
     TabularQ,
 )
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS
+from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, expect_boltzmann
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.rollouts import step_rollout
 
@@ -388,3 +388,9 @@ def test_a_bad_temperature(rate: Any) -> None:
 def test_an_unknown_behaviour() -> None:
     with pytest.raises(ValueError, match="`exploration` must be one of epsilon_greedy, boltzmann, but got 'softmax'"):
         TabularQ("MlpPolicy", "FrozenLake-v1", exploration="softmax")
+
+
+def test_a_small_temperature_overflows_nowhere() -> None:
+    """The differences to the largest value are what is exponentiated: e^1000 is no float."""
+    table = np.array([[0.0, 1000.0, 999.0]])
+    assert expect_boltzmann((table,), table, 0, 0.1) == pytest.approx(1000.0, abs=0.001)

@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from sb3_adaptive_q import step_sizes
 from sb3_adaptive_q.step_sizes import STEP_SIZES, Description, Parameter, describe, find_step_size, paper, resolve_parameters
+from sb3_adaptive_q.step_sizes.adaptive import delta_bar_delta, have_opposite_signs, obgd
+from sb3_adaptive_q.step_sizes.counts import horizon
 
 NAMES = list(STEP_SIZES)
 PARAMETERS = [(name, key) for name, step_size in STEP_SIZES.items() for key in step_size.parameters]
@@ -62,6 +64,37 @@ class TestCatalogue:
             for line in imports:
                 assert not any(word in line for word in ("numba", "stable_baselines3", "torch"))
                 assert "sb3_adaptive_q" not in line or "sb3_adaptive_q.step_sizes" in line
+
+
+class TestByHand:
+    """Borders that the golden sequences do not touch."""
+
+    @pytest.mark.parametrize(
+        ("first", "second", "opposite"),
+        [(-1.0, 1.0, True), (1.0, -1.0, True), (1.0, 2.0, False), (-1.0, 0.0, False), (0.0, 1.0, False), (1.0, 0.0, False)],
+    )
+    def test_signs(self, first: float, second: float, opposite: bool) -> None:
+        assert have_opposite_signs(first, second) is opposite
+
+    def test_delta_bar_delta(self) -> None:
+        """Errors 1, 1, 0, 1, -1 with κ = 0.5 and φ = 0.5: up, up to 1 and no further, the same, 1 again, half of it."""
+        size, mean_error = np.full((1, 1), 0.25), np.zeros((1, 1))
+        sizes = [
+            delta_bar_delta(0.0, make_step(td_error=error), 0.25, 0.5, 0.5, 0.5, size, mean_error)
+            for error in (1.0, 1.0, 0.0, 1.0, -4.0)
+        ]
+        assert sizes == [0.25, 0.75, 0.75, 1.0, 0.5]
+
+    @pytest.mark.parametrize(
+        ("alpha", "kappa", "error", "size"), [(1.0, 0.5, 1.0, 1.0), (1.0, 0.5, 8.0, 0.25), (0.5, 4.0, 0.5, 0.25)]
+    )
+    def test_obgd(self, alpha: float, kappa: float, error: float, size: float) -> None:
+        """α / max(1, α κ max(|δ|, 1))."""
+        assert obgd(0.0, make_step(td_error=error), alpha, kappa) == size
+
+    def test_a_horizon_of_0_without_discounting(self) -> None:
+        """1/n, as everywhere."""
+        assert [horizon(0.0, make_step(count=n, gamma=1.0), 0.0) for n in (1.0, 2.0, 4.0)] == [1.0, 0.5, 0.25]
 
 
 class TestParameters:
