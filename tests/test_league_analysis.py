@@ -18,7 +18,7 @@ from sb3_adaptive_q.experiments.league.findings import findings, paper_finding
 from sb3_adaptive_q.experiments.league.plan import CHOICES, CLIP, Runs
 from sb3_adaptive_q.experiments.league.settings import Contestant, Task, Track
 
-RUNS, CHECKPOINTS = 40, 5
+RUNS, CHECKPOINTS = 40, 25
 TASKS = (
     Task("still", "lake4", "deterministic", 100, 0.99),
     Task("noisy", "lake8", "noisy rewards", 100, 0.99),
@@ -81,7 +81,7 @@ def test_scores_have_a_row_a_rule_and_a_column_a_task(scores: Scores) -> None:
 
 def test_final_score_is_that_of_the_last_three_checkpoints_where_there_is_an_end(scores: Scores) -> None:
     assert scores.final.shape == (5, RUNS, 2)
-    assert scores.final.mean(axis=1)[2] == pytest.approx([0.85, 0.85], abs=0.01)
+    assert scores.final.mean(axis=1)[2] == pytest.approx([0.8917, 0.8917], abs=0.01)  # 0.8 + 0.1 - 0.2 / 24
 
 
 def test_return_that_is_not_defined_is_left_out(chosen: dict[str, np.ndarray]) -> None:
