@@ -112,7 +112,7 @@ class InstalledMethod:
         """
         arrays = [np.zeros((1, 1)) for _ in self.data.memory]
         for name, function, further in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
-            if function is None or function.__module__.partition(".")[0] == __package__:
+            if function is None or (function.__module__ or "").partition(".")[0] == __package__:
                 continue
             try:
                 other = type_returned(function, (0.0, _STEP_OF_ZEROS, *self.arguments, *further))

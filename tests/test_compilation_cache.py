@@ -133,7 +133,8 @@ class TestDisk:
             for folder in (path for path in (installation, *installation.rglob("*")) if path.is_dir()):
                 folder.chmod(0o755)
         assert Path(told["package"]).is_relative_to(installation)
-        assert (told["mu"], told["loaded"], told["saved"]) == (0.25, 0, 0)
+        assert (told["mu"], told["loaded"]) == (0.25, 0)
+        assert told["saved"] == 1  # the rule by itself, whose own folder can be written to
 
     def test_checks_of_indices_are_compiled_where_they_are_asked_for(self, tmp_path):
         program = """

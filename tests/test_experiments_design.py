@@ -264,7 +264,7 @@ def test_file_gives_the_design_and_options_override_it(tmp_path: Path) -> None:
         (["--sweep", "runs=1,2"], "Unknown sweep 'runs'"),
         (["--sweep", "beta_1"], "A sweep is name=value,value"),
         (["--sweep", "beta_1=0.1,0.1"], "must not repeat an entry"),
-        (["--sweep", "beta_1=0.1", "--sweep", "beta_1=0.2"], "give all its values together"),
+        (["--sweep", "beta_1=0.1", "--sweep", "beta_1=0.2"], "names a setting twice: give all its values in one"),
         (["--sweep", "gamma=0.9,1.9"], "gamma"),
         (["--runs", "0"], "`runs` must be a whole number from 1"),
         (["--runs", "many"], "--runs"),

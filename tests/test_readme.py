@@ -47,5 +47,6 @@ def test_the_readme_is_short() -> None:
 
 
 def test_every_method_of_the_table_is_there() -> None:
-    rows = re.findall(r"^\| (\d) \| ([\d, ]+) \|", README, flags=re.MULTILINE)
+    catalogue = (ROOT / "docs" / "step_sizes.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| ([\d, ]+) \|", catalogue, flags=re.MULTILINE)
     assert [(int(number), equation) for number, equation in rows] == [(n, each.equation) for n, each in METHODS.items()]

@@ -71,7 +71,7 @@ class TestRules:
             def rule(mu, step):
                 return None
 
-        with pytest.raises(TypeError, match="expected float64, got None"):
+        with pytest.raises(ValueError, match="Forgetful must return a number in every case, but returns none"):
             TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Forgetful(mu_0=0.1))
         with pytest.raises(ValueError, match=r"Forgetful must give step sizes .* zeros, where training starts, it gave None"):
             Forgetful()
