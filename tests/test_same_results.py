@@ -22,7 +22,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from sb3_adaptive_q import METHODS, CompiledVecEnv, LearningRateCallback, TabularQ
-from sb3_adaptive_q.compiled.jit import freeze
+from sb3_adaptive_q.compiled.freezing import freeze
 from sb3_adaptive_q.vec_env.dynamics import Grid, find_dynamics
 from wrappers import DiscretizeObservation
 

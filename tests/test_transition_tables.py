@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from stable_baselines3.common.monitor import Monitor
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
-from sb3_adaptive_q.compiled.jit import freeze
+from sb3_adaptive_q.compiled.freezing import freeze
 from sb3_adaptive_q.random_numbers import read_pcg64
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, read_table
 

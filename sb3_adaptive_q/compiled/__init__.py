@@ -1,1 +1,1 @@
-"""Machine code from plain functions: what is asked of Numba, the digest of what was frozen, and the loops."""
+"""Machine code from plain functions: copies that nothing changes, what is asked of Numba, and the loops."""

@@ -1,9 +1,8 @@
 """
-All that is asked of Numba.
+All that is asked of Numba's compiler.
 
-A plain function becomes machine code in two steps. :func:`freeze` copies it with everything that it uses, under a name made
-of the digest of all that; a function or a global that changes later gives another copy. :func:`machine_code` compiles the
-copy, which Numba's disk cache then knows by its name.
+:func:`sb3_adaptive_q.compiled.freezing.freeze` copies a plain function under a name made of the digest of all that it uses;
+:func:`machine_code` compiles the copy, which Numba's disk cache then knows by its name.
 """
 
 import threading
@@ -17,21 +16,14 @@ import numpy as np
 from numba import config, njit, typeof
 from numba import types as numba_types
 from numba.core.errors import NumbaError
-from numba.extending import register_jitable
 
-from sb3_adaptive_q.compiled import frozen
-from sb3_adaptive_q.compiled.digest import CannotFreeze, digest_of, is_foreign, names_of, plain_function
+from sb3_adaptive_q.compiled.freezing import OPTIONS, CannotFreeze, freeze
 
-#: Of functions that are compiled into their caller. Without reference counts, which would cost a third of the speed: every
-#: array is the caller's, who holds it
-INLINED: dict[str, Any] = {"forceinline": True, "_nrt": False}
-OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
 #: What a disk cache may raise that is full, cut off, or written by functions that cannot be imported
 _CACHE_FAULTS = (OSError, EOFError, UnpicklingError, ImportError, AttributeError)
 
 _lock = threading.RLock()
 _compiled: dict[tuple[Any, ...], tuple[Callable[..., Any], Any]] = {}
-_being_copied: list[types.FunctionType] = []
 
 
 class CannotCompile(ValueError):
@@ -57,34 +49,6 @@ def as_python(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*arguments)
 
     return run
-
-
-def freeze(function: Callable[..., Any]) -> types.FunctionType:
-    """
-    Copy a function and the plain functions that it uses, with the values that its globals have now.
-
-    :param function: a plain function
-    :return: the copy, which other compiled code may call; the same object as long as nothing has changed
-    :raises CannotFreeze: if it uses a value that machine code cannot hold
-    """
-    original = plain_function(function)
-    if original is None:
-        raise CannotFreeze(f"{function!r} is not a plain Python function")
-    options = sorted(getattr(function, "targetoptions", {}).items())
-    name = f"{original.__name__}_{digest_of(original, INLINED, OPTIONS, options, _bounds_are_checked())}"
-    with _lock:
-        copy = getattr(frozen, name, None)
-        if copy is None:
-            if original in _being_copied:
-                raise CannotFreeze(f"it uses `{original.__name__}`, which calls itself")
-            _being_copied.append(original)
-            try:
-                copy = _copy(original, name)
-            finally:
-                _being_copied.pop()
-            register_jitable(**INLINED)(copy)
-            setattr(frozen, name, copy)
-    return copy
 
 
 def machine_code(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Callable[..., Any]:
@@ -142,34 +106,6 @@ def _entry_point(dispatcher: Any, signature: tuple[Any, ...]) -> tuple[Callable[
     """
     code = dispatcher.compile(signature)
     return code if callable(code) else dispatcher, dispatcher.overloads[signature].signature.return_type
-
-
-def _copy(original: types.FunctionType, name: str) -> types.FunctionType:
-    names = names_of(original)
-    used = {key: _frozen_value(original.__globals__[key], names) for key in names if key in original.__globals__}
-    cells = tuple(types.CellType(_frozen_value(cell.cell_contents, names)) for cell in original.__closure__ or ())
-    scope = {**used, "__name__": frozen.__name__, "__builtins__": original.__globals__.get("__builtins__")}
-    copy = types.FunctionType(original.__code__, scope, name, original.__defaults__, cells)
-    copy.__kwdefaults__ = original.__kwdefaults__
-    copy.__module__, copy.__qualname__ = frozen.__name__, name
-    return copy
-
-
-def _frozen_value(value: Any, names: list[str]) -> Any:
-    if getattr(value, "targetoptions", None):  # compiled by the user, with options of its own
-        return value
-    if plain_function(value) is not None:
-        return freeze(value)
-    if isinstance(value, types.ModuleType) and not is_foreign(value.__name__):
-        copy = types.ModuleType(value.__name__)
-        held = {name: getattr(value, name) for name in names if hasattr(value, name)}
-        vars(copy).update({name: item if item is value else _frozen_value(item, names) for name, item in held.items()})
-        return copy
-    return value
-
-
-def _bounds_are_checked() -> bool:
-    return bool(config.BOUNDSCHECK)  # type: ignore[attr-defined]
 
 
 def _reason(error: NumbaError) -> str:

@@ -1,0 +1,188 @@
+"""
+Copies of plain functions that nothing changes any more, each under a name made of all that decides its machine code.
+
+One walk through a function's globals makes both: the copy, whose globals are the frozen ones, and the digest in its name.
+A function or a global that changes later gives another copy under another name.
+"""
+
+import hashlib
+import sys
+import threading
+import types
+from collections.abc import Callable
+from enum import Enum
+from typing import Any
+
+import numba
+import numpy as np
+from numba import config
+from numba.extending import register_jitable
+
+from sb3_adaptive_q.compiled import frozen
+
+#: How functions are compiled into their caller. Without reference counts, which would cost a third of the speed: every array
+#: is the caller's, who holds it
+INLINED: dict[str, Any] = {"forceinline": True, "_nrt": False}
+#: How the function that is called from Python is compiled
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+
+#: Functions of these packages are Numba's to know, and do not change under us
+_FOREIGN = {*sys.stdlib_module_names, "numpy", "numba"} - {"__main__"}
+_PLAIN = (bool, int, float, complex, str, bytes, np.generic, type(None), type(Ellipsis))
+
+_lock = threading.RLock()
+_being_copied: list[types.FunctionType] = []
+
+
+class CannotFreeze(ValueError):
+    """A function uses a value that machine code cannot hold."""
+
+
+def freeze(function: Callable[..., Any]) -> types.FunctionType:
+    """
+    Copy a function and the plain functions that it uses, with the values that its globals have now.
+
+    :param function: a plain function
+    :return: the copy, which other compiled code may call; the same object as long as nothing has changed. Its name ends in a
+        digest that is equal in every process
+    :raises CannotFreeze: if it uses a value that machine code cannot hold
+    """
+    original = _plain_function(function)
+    if original is None:
+        raise CannotFreeze(f"{function!r} is not a plain Python function")
+    with _lock:
+        if original in _being_copied:
+            raise CannotFreeze(f"it uses `{original.__name__}`, which calls itself")
+        _being_copied.append(original)
+        try:
+            return _copy(original, _options_of(function))
+        finally:
+            _being_copied.pop()
+
+
+def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types.FunctionType:
+    code = _code_of(original)
+    names = list(dict.fromkeys(name for each in code for name in each.co_names))
+    cells = zip(original.__code__.co_freevars, original.__closure__ or (), strict=True)
+    scope, keys = _split(
+        {name: _freeze(name, original.__globals__[name], names) for name in names if name in original.__globals__}
+    )
+    closure, cell_keys = _split({name: _freeze(name, cell.cell_contents, names) for name, cell in cells})
+    decides = [
+        INLINED, OPTIONS, bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
+        _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__),
+        [(each.co_code, each.co_names, each.co_varnames, _constants_of(each)) for each in code],
+    ]  # fmt: skip
+    name = f"{original.__name__}_{hashlib.sha256(repr(decides).encode()).hexdigest()[:20]}"
+    known = getattr(frozen, name, None)
+    if known is not None:
+        return known
+    scope |= {"__name__": frozen.__name__, "__builtins__": original.__globals__.get("__builtins__")}
+    copy = types.FunctionType(
+        original.__code__, scope, name, original.__defaults__, tuple(map(types.CellType, closure.values()))
+    )
+    copy.__kwdefaults__ = original.__kwdefaults__
+    copy.__module__, copy.__qualname__ = frozen.__name__, name
+    register_jitable(**INLINED)(copy)
+    setattr(frozen, name, copy)
+    return copy
+
+
+def _split(frozen_values: dict[str, tuple[Any, Any]]) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    """The values by name, and what tells each from every other."""
+    values = {name: value for name, (value, _) in frozen_values.items()}
+    return values, [(name, key) for name, (_, key) in frozen_values.items()]
+
+
+def _freeze(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
+    """
+    :param name: what a function knows the value by
+    :param value: what it uses
+    :param names: what its code names beside it, attributes of a module among them
+    :return: the value as the copy shall have it, and what tells it from every other
+    """
+    helper = _plain_function(value)
+    if helper is not None:
+        if not _options_of(value):
+            copy = freeze(helper)
+            return copy, copy.__name__
+        # Compiled by the user, with options of its own: it stays as it is, and may call itself
+        return value, _being_copied.index(helper) if helper in _being_copied else freeze(value).__name__
+    if isinstance(value, types.ModuleType) and not _is_foreign(value.__name__):
+        held = {
+            other: _freeze(other, getattr(value, other), [each for each in names if each != other])
+            for other in names
+            if getattr(value, other, value) is not value
+        }
+        contents, keys = _split(held)
+        copy_of_module = types.ModuleType(value.__name__)
+        vars(copy_of_module).update(contents)
+        return copy_of_module, (value.__name__, keys)
+    return value, _key(name, value)
+
+
+def _is_foreign(module_name: str | None) -> bool:
+    return (module_name or "").partition(".")[0] in _FOREIGN
+
+
+def _plain_function(value: Any) -> types.FunctionType | None:
+    """The Python function in a value that is compiled with its caller; ``None`` if there is none."""
+    function = getattr(value, "py_func", value)
+    if isinstance(function, types.FunctionType) and not _is_foreign(function.__module__):
+        return function
+    return None
+
+
+def _options_of(function: Any) -> list[tuple[str, Any]]:
+    return sorted(getattr(function, "targetoptions", {}).items())
+
+
+def _code_of(function: types.FunctionType) -> list[types.CodeType]:
+    """The code of a function, and of the functions and comprehensions inside it."""
+    found = [function.__code__]
+    for code in found:
+        found += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return found
+
+
+def _constants_of(code: types.CodeType) -> list[Any]:
+    return [_key("a constant", constant) for constant in code.co_consts if not isinstance(constant, types.CodeType)]
+
+
+def _key(name: str, value: Any) -> Any:
+    """What the compiler freezes of a value, with a ``repr`` that tells it from every other, in every process."""
+    if isinstance(value, _PLAIN):
+        return type(value).__name__, value
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, tuple):
+        return type(value).__name__, getattr(value, "_fields", ()), [_key(name, item) for item in value]
+    if isinstance(value, frozenset):  # its order depends on the seed of hashes
+        return sorted(repr(_key(name, item)) for item in value)
+    if isinstance(value, dict):
+        return [(key, _key(name, item)) for key, item in value.items()]
+    if isinstance(value, types.ModuleType):
+        return "module", value.__name__
+    return _key_of_named(name, value)
+
+
+def _key_of_named(name: str, value: Any) -> Any:
+    """A type or a foreign function: known by what it is called, and by what it holds."""
+    if isinstance(value, type) and issubclass(value, Enum):
+        return [(member.name, member.value) for member in value]
+    if isinstance(value, type):
+        return value.__module__, value.__qualname__, getattr(value, "_fields", ())
+    if isinstance(value, np.ufunc | np.dtype):
+        return type(value).__name__, str(value)
+    body = getattr(getattr(value, "_dispatcher", None), "py_func", None)
+    if body is not None:  # made by ``numba.vectorize``
+        return "vectorize", freeze(body).__name__
+    if isinstance(value, numba.types.Type):
+        return "numba", repr(value)
+    if callable(value) and _is_foreign(getattr(value, "__module__", None) or type(value).__module__):
+        return getattr(value, "__module__", None), getattr(value, "__qualname__", repr(type(value)))
+    if _is_foreign(type(value).__module__) and type(value).__module__.startswith("numba"):
+        return "numba", repr(value)
+    raise CannotFreeze(
+        f"it uses `{name}`, which is a {type(value).__qualname__}: machine code can hold numbers, arrays, tuples and functions"
+    )
