@@ -141,17 +141,30 @@ class TestArraysOfAFile:
         return model
 
     @pytest.mark.parametrize(
-        ("array", "place", "value"),
+        ("array", "place", "value", "message"),
         [
-            ("n_pairs", 0, 1000), ("n_pairs", 0, -1), ("n_pairs", 0, 0), ("pairs", (0, 0, 0), 16), ("pairs", (0, 0, 1), -1),
-            ("places", (0, 15, 0), 1), ("places", (1, 3, 2), -5),
+            ("n_pairs", 0, 65, "`n_pairs` must hold numbers from 0 to 64"),
+            ("n_pairs", 0, -1, "`n_pairs` must hold numbers from 0 to 64"),
+            ("n_pairs", 0, 0, "`places` must say where"),
+            ("pairs", (0, 0, 0), 16, "`pairs` must hold numbers from 0 to 15"),
+            ("pairs", (0, 0, 1), -1, "`pairs` must hold numbers from 0 to 3"),
+            ("places", (0, 15, 0), 1, "`places` must say where"),
+            ("places", (1, 3, 2), -5, "`places` must say where"),
         ],
-    )  # fmt: skip
-    def test_traces(self, array: str, place: Any, value: int) -> None:
+    )
+    def test_traces(self, array: str, place: Any, value: int, message: str) -> None:
         model = self.running("sarsa_lambda")
         model._working[array][place] = value
-        with pytest.raises(ValueError, match="must"):
+        with pytest.raises(ValueError, match=f"^{message}"):
             model.check_working_arrays(model._working)
+
+    def test_a_list_of_all_pairs_is_sound(self) -> None:
+        model = self.running("sarsa_lambda", trace_threshold=0.0)
+        pairs = np.stack(np.divmod(np.arange(64), 4), axis=1)
+        for env in range(2):
+            model._working["pairs"][env], model._working["n_pairs"][env] = pairs, 64
+            model._working["places"][env] = np.arange(1, 65).reshape(16, 4)
+        model.check_working_arrays(model._working)
 
     def test_a_pair_that_is_listed_twice(self) -> None:
         model = self.running("sarsa_lambda")
