@@ -172,6 +172,10 @@ class TestNames:
         with pytest.raises(ValueError, match=f"There is no step size '{wrong}'. Did you mean .*'{right}'"):
             find_step_size(wrong)
 
+    def test_several_may_be_near(self) -> None:
+        with pytest.raises(ValueError, match=r"Did you mean 'constant' or 'unbiased_constant'\?$"):
+            find_step_size("constantt")
+
     @pytest.mark.parametrize("wrong", ["zzz", "", 3, None, ["idbd"]])
     def test_all_are_listed_where_none_is_near(self, wrong: object) -> None:
         with pytest.raises(ValueError, match=r"There is no step size .* The names are constant, polynomial, .*, adagrad"):

@@ -44,7 +44,7 @@ def find_step_size(name: object) -> StepSize:
     if isinstance(name, str) and name in STEP_SIZES:
         return STEP_SIZES[name]
     nearest = difflib.get_close_matches(name.lower(), STEP_SIZES, cutoff=0.5) if isinstance(name, str) else []
-    advice = f"Did you mean {_either(nearest)}?" if nearest else f"The names are {', '.join(STEP_SIZES)}."
+    advice = f"Did you mean {' or '.join(map(repr, nearest))}?" if nearest else f"The names are {', '.join(STEP_SIZES)}."
     raise ValueError(f"There is no step size {name!r}. {advice}")
 
 
@@ -71,7 +71,3 @@ def resolve_parameters(name: str, given: Mapping[str, Any]) -> dict[str, float]:
         bounds = f"lower={resolved['lower']} and upper={resolved['upper']}"
         raise ValueError(f"Step size {name!r}: `lower` must not be above `upper`, but got {bounds}.")
     return resolved
-
-
-def _either(names: list[str]) -> str:
-    return " or ".join(map(repr, names))
