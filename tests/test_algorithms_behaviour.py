@@ -1,7 +1,7 @@
 """How actions are chosen: probabilities, expectations, masks, what a rule sees of them, and what was exploratory."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -26,8 +26,9 @@ from sb3_adaptive_q import (
     TabularQ,
 )
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, expect_boltzmann
+from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, TIES, expect_boltzmann
 from sb3_adaptive_q.compiled.jit import as_python
+from sb3_adaptive_q.random_numbers import uniform
 from sb3_adaptive_q.rollouts import step_rollout
 
 #: The algorithms with what differs from the defaults of their class
@@ -112,6 +113,7 @@ class Recorder(BaseCallback):
         self.states: list[int] = []
         self.reached: list[int] = []
         self.exploratory: list[bool] = []
+        self.rewards: list[float] = []
 
     def _on_step(self) -> bool:
         model: Any = self.model
@@ -124,6 +126,7 @@ class Recorder(BaseCallback):
         self.states.append(int(model._last_obs[0]))
         self.reached.append(int(info["terminal_observation"] if done else self.locals["new_obs"][0]))
         self.exploratory.append(bool(model.was_exploratory()[0]))
+        self.rewards.append(float(self.locals["rewards"][0]))
         return True
 
 
@@ -176,6 +179,78 @@ def test_what_a_rule_sees(name: str, next_action: str, monkeypatch: pytest.Monke
             assert step.next_value == before[reached, record.actions[place + 1]]
         n_checked += 1
     assert n_checked > 250
+
+
+def bootstrapped(name: str, before: np.ndarray, other: np.ndarray, reached: int, next_action: int | None) -> float | None:
+    """
+    :param name: a key of ``VARIANTS``
+    :param before: the table that is updated, before the update
+    :param other: the other table of two, else the same
+    :param reached: s', which is not terminal
+    :param next_action: the action that is taken there, where that is known
+    :return: the value of s' in the one-step target, ``None`` where it needs an action that is not known
+    """
+    greedy_value = other[reached, before[reached].argmax()]
+    if name.startswith(("sarsa", "true_online")):
+        return None if next_action is None else before[reached, next_action]
+    if name == "double_expected_sarsa" or name == "expected_sarsa":
+        looked_at = before if name == "expected_sarsa" else (before + other) / 2
+        return probabilities(("epsilon_greedy", "first"), looked_at[reached], 0.5) @ other[reached]
+    return greedy_value
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if not name.startswith("n_step")])
+def test_what_a_step_size_sees(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """
+    The value inside the target, the one-step error, how often the pair was updated, and what it gave the last time. The rule
+    then sees the same update, with its step size.
+    """
+    seen: list[tuple[float, Any, float]] = []
+    after_update: list[Any] = []
+
+    class Watching(LearningRateCallback):
+        memory: ClassVar = {"last": 0.25}
+        counts: ClassVar = True
+
+        @staticmethod
+        def step_size(mu: float, step: Any, last: np.ndarray) -> float:
+            seen.append((mu, step, float(last[step.row, step.column])))
+            last[step.row, step.column] = 0.5 / step.count
+            return 0.5 / step.count
+
+        @staticmethod
+        def rule(mu: float, step: Any) -> float:
+            after_update.append(step)
+            return step.size
+
+    in_python(monkeypatch)
+    record = Recorder()
+    model = learn_and_record(name, [record, Watching(mu_0=0.125)], ties="first")
+    after = [*record.tables[1:], model.policy.q_tables.numpy() if model.n_tables == 2 else model.q_table]
+    counts = np.zeros((2, 16, 4))
+    n_checked, size = 0, 0.125
+    for place, (mu, step, last) in enumerate(seen):
+        before, coin = record.tables[place], 0
+        if model.n_tables == 2:
+            changed = [number for number in range(2) if (before[number] != after[place][number]).any()]
+            coin = changed[0] if len(changed) == 1 else int(step.value == before[1, step.state, step.action])
+            before, other = before[coin], before[1 - coin]
+        else:
+            other = before
+        state, reached, action = record.states[place], record.reached[place], record.actions[place]
+        counts[coin, state, action] += 1.0
+        assert step[:7] == (state, action, state, action, counts[coin, state, action], before[state, action], step.next_value)
+        assert step[8:] == ((place + 1) / 300, 0.9, 0.0)
+        assert (mu, last) == (size, 0.25 if step.count == 1.0 else 0.5 / (step.count - 1.0))
+        assert step.td_error == record.rewards[place] + 0.9 * step.next_value - step.value
+        size = 0.5 / step.count
+        assert after_update[place] == step._replace(next_value=after_update[place].next_value, size=size)
+        next_action = None if record.dones[place] or place == 299 else record.actions[place + 1]
+        expected = 0.0 if record.terminated[place] else bootstrapped(name, before, other, reached, next_action)
+        if expected is not None:
+            assert step.next_value == pytest.approx(expected, rel=1e-14)
+            n_checked += 1
+    assert len(seen) == 300 and n_checked > 250
 
 
 @pytest.mark.parametrize("name", ["tabular_q", "sarsa", "sarsa_lambda", "q_lambda", "n_step", "peng"])
@@ -388,6 +463,52 @@ def test_a_bad_temperature(rate: Any) -> None:
 def test_an_unknown_behaviour() -> None:
     with pytest.raises(ValueError, match="`exploration` must be one of epsilon_greedy, boltzmann, but got 'softmax'"):
         TabularQ("MlpPolicy", "FrozenLake-v1", exploration="softmax")
+
+
+def counter_that_draws(number: float) -> np.ndarray:
+    """
+    The agent's counter from which SplitMix64 draws a number next: its steps backwards.
+
+    :param number: a multiple of 2^-53 in [0, 1)
+    """
+    word = int(number * 2**53) << 11
+    for shift, factor in ((31, 0x94D049BB133111EB), (27, 0xBF58476D1CE4E5B9), (30, 1)):
+        found = word
+        for _ in range(64 // shift):
+            found = word ^ (found >> shift)
+        word = found * pow(factor, -1, 2**64) % 2**64
+    return np.array([(word - 0x9E3779B97F4A7C15) % 2**64], dtype=np.uint64)
+
+
+@pytest.mark.parametrize("number", [0.0, 2.0**-53, 0.25, 0.5, 1.0 - 2.0**-53])
+def test_the_counter_backwards(number: float) -> None:
+    with np.errstate(over="ignore"):
+        assert uniform(counter_that_draws(number)) == number
+
+
+@pytest.mark.parametrize("ties", TIES)
+def test_exploration_at_the_edge_of_the_drawn_numbers(ties: str) -> None:
+    """A number is below ε or not: with ε = 0 none is, and with ε = 1/4 the number 1/4 is not."""
+    choose = as_python(BEHAVIOURS["epsilon_greedy", ties].choose)
+    table = np.array([[0.0, 0.0, 1.0, 0.0]])
+    for number in (0.0, 0.25):
+        assert choose((table,), 0, number, counter_that_draws(number)) == 2
+
+
+@pytest.mark.parametrize(("number", "action"), [(0.0, 0), (0.5 - 2.0**-53, 0), (0.5, 1), (1.0 - 2.0**-53, 1)])
+def test_the_boltzmann_policy_divides_the_numbers(number: float, action: int) -> None:
+    """Two equal actions have a half of the numbers each."""
+    choose = as_python(BEHAVIOURS["boltzmann", "first"].choose)
+    assert choose((np.array([[1.0, 1.0]]),), 0, 1.0, counter_that_draws(number)) == action
+
+
+@pytest.mark.parametrize("best", range(3))
+def test_the_largest_value_may_stand_anywhere(best: int) -> None:
+    """It is subtracted before the exponential, which would overflow else."""
+    table = np.where(np.arange(3) == best, 1000.0, 0.0)[None]
+    choose = as_python(BEHAVIOURS["boltzmann", "first"].choose)
+    assert choose((table,), 0, 1.0, counter_that_draws(0.5)) == best
+    assert as_python(expect_boltzmann)((table,), np.arange(3.0)[None], 0, 1.0) == best
 
 
 def test_a_small_temperature_overflows_nowhere() -> None:
