@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.compiled.loops import LEARNER
+from sb3_adaptive_q.compiled.records import LEARNER
 
 _NAMES = LEARNER.names or ()
 #: What the attributes of a model decide, and what tells of a refused transition

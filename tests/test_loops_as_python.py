@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from helpers.both_paths import assert_same, learn, make_model
 
-from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.rollouts import compiled_rollout
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
@@ -14,7 +13,7 @@ from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
 def no_compiler(monkeypatch):
     """Python reads a record's fields by their names only where NumPy is told so."""
     for name in ("ENV", "EPISODE", "CONTROL"):
-        monkeypatch.setattr(loops, name, np.dtype((np.record, getattr(loops, name))))
+        monkeypatch.setattr(compiled_rollout, name, np.dtype((np.record, getattr(compiled_rollout, name))))
     arguments = CompiledRollout._arguments
 
     def with_records(rollout, record):

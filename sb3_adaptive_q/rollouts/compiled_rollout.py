@@ -13,6 +13,7 @@ from sb3_adaptive_q.algorithms.td_update import Transition
 from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, is_disabled, machine_code
+from sb3_adaptive_q.compiled.records import CONTROL, ENV, EPISODE
 from sb3_adaptive_q.random_numbers import read_pcg64, write_pcg64
 from sb3_adaptive_q.rollouts.callbacks_due import episodes_until_due, skip_steps, steps_until_due
 from sb3_adaptive_q.rollouts.step_rollout import RolloutState, StepRollout
@@ -47,8 +48,8 @@ class CompiledRollout(StepRollout):
         self.compiled_envs = model.env.compile()
         self.dynamics = self.compiled_envs[0].dynamics
         n_envs = model.env.num_envs
-        self.envs = np.zeros(n_envs, loops.ENV)
-        self.control = np.zeros(1, loops.CONTROL)
+        self.envs = np.zeros(n_envs, ENV)
+        self.control = np.zeros(1, CONTROL)
         self.control["max_episode_steps"] = self.compiled_envs[0].max_episode_steps
         self.places = self.dynamics.empty_places(n_envs)
         self.words = np.zeros((n_envs, 4), np.uint64)
@@ -56,12 +57,12 @@ class CompiledRollout(StepRollout):
         super().__init__(model, step_locals)
         interval = model.callback_interval or max(DEFAULT_INTERVAL // n_envs, 1)
         self.interval = int(min(interval, max(self._steps_left(), 1)))
-        self.episodes = np.zeros(self.interval * n_envs, loops.EPISODE)
+        self.episodes = np.zeros(self.interval * n_envs, EPISODE)
 
     def _compile(self) -> None:
         make_loop = loops.make_single_loop if len(self.envs) == 1 else loops.make_several_loop
         loop = make_loop(self.choices.learn_one(), *self.dynamics.loop_functions())
-        record = (np.zeros(0, loops.EPISODE), np.zeros((0, len(self.envs)), dtype=bool))
+        record = (np.zeros(0, EPISODE), np.zeros((0, len(self.envs)), dtype=bool))
         try:
             self._check_own_functions()
             self._loop = machine_code(loop, self._arguments(record))
