@@ -139,7 +139,7 @@ def read_archive(path: Any) -> Archive:
     file = open_path(path, "r", suffix="zip")
     name = name_of(file)
     try:
-        with refusing(name, "is damaged, or no file of a model", (Exception,)):  # what zipfile may raise is not documented
+        with refusing(name, "is damaged, or is not a saved model", (Exception,)):  # what zipfile may raise is not documented
             archive = zipfile.ZipFile(file)
             members = archive.infolist()
         with archive:
@@ -150,7 +150,7 @@ def read_archive(path: Any) -> Archive:
     finally:
         if isinstance(path, str | Path):
             file.close()
-    with refusing(name, "is no file of a model of this package"):
+    with refusing(name, "is not a saved model of this package"):
         data = json.loads(contents[DATA])
         _check_version(data)
         arrays = _read_arrays(contents[ARRAYS], data["arrays"])
@@ -190,13 +190,13 @@ def _check_members(name: str, members: list[zipfile.ZipInfo], size: int) -> None
     if len(names) != len(MEMBERS) or set(names) != MEMBERS:
         listed = ", ".join(map(repr, names[:10])) + (", ..." if len(names) > 10 else "")
         expected = ", ".join(sorted(MEMBERS))
-        raise ValueError(f"The file {name} is damaged, or no file of a model: its members are {listed}, not {expected}.")
+        raise ValueError(f"The file {name} is damaged, or is not a saved model: its members are {listed}, not {expected}.")
     if not _hold_no_more_than(members, size):
         raise ValueError(f"The file {name} is damaged or hostile: its members are larger than the file itself.")
     if 2 * size > psutil.virtual_memory().available:
         raise MemoryError(f"Reading the file {name} takes {2 * size / 2**30:.1f} GiB of memory, but less is free.")
     if next(member.file_size for member in members if member.filename == DATA) > MOST_DATA:
-        raise ValueError(f"The file {name} is no file of a model: it has more than {MOST_DATA} bytes of plain data.")
+        raise ValueError(f"The file {name} is not a saved model: it has more than {MOST_DATA} bytes of plain data.")
 
 
 def _hold_no_more_than(members: list[zipfile.ZipInfo], size: int) -> bool:

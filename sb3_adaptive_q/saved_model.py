@@ -104,7 +104,7 @@ def decode_model(archive: Archive, kind: Any, custom_objects: dict[str, Any]) ->
     :raises ValueError: if they are not what :func:`collect` returns. The message names the file
     """
     data, arrays = archive.data, archive.arrays
-    with refusing(archive.name, "is no file of a model of this package"):
+    with refusing(archive.name, "is not a saved model of this package"):
         for name in data["attributes"]:
             _check_name(kind, name)
         attributes = {

@@ -215,12 +215,12 @@ class TestDamage:
     @pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.9, 0.99, 0.999])
     def test_files_that_are_cut_off(self, path, content, part):
         path.write_bytes(content[: int(part * len(content))])
-        refuse(path, "is damaged, or no file of a model")
+        refuse(path, "is damaged, or is not a saved model")
 
     @pytest.mark.parametrize("content", [b"", b"PK", b"text " * 100, bytes(1000), b"PK\5\6" + bytes(18)])
     def test_files_that_are_no_zip(self, path, content):
         path.write_bytes(content)
-        refuse(path, "no file of a model")
+        refuse(path, "not a saved model")
 
     @pytest.mark.parametrize(
         "damage",
@@ -248,12 +248,12 @@ class TestForeignFiles:
     def test_another_algorithms(self, path):
         DQN("MlpPolicy", "CartPole-v1", policy_kwargs={"net_arch": [2]}, buffer_size=10).save(path)
         refuse(path, "holds pickled objects, as files of Stable-Baselines3")
-        refuse(path, "another algorithm wrote it: it has no table", lambda path: TabularQ.load(path, allow_pickle=True))
+        refuse(path, "no table: it holds a model of another algorithm", lambda path: TabularQ.load(path, allow_pickle=True))
 
     @pytest.mark.parametrize("names", [["word/document.xml"], [], ["data"]])
     def test_other_zips(self, path, names):
         write(path, {name: b"{}" for name in names})
-        refuse(path, "no file of a model: its members are")
+        refuse(path, "not a saved model: its members are")
 
     @pytest.mark.parametrize(
         ("version", "message"),
@@ -320,7 +320,7 @@ class TestBombs:
     )
     def test_spaces_that_ask_for_more_than_the_file_has(self, path, space):
         forge(path, lambda data: data["attributes"].update(observation_space={":kind:": "space", **space}))
-        refuse(path, "no file of a model of this package|cannot be loaded")
+        refuse(path, "not a saved model of this package|cannot be loaded")
 
     def test_more_plain_data_than_a_model_has(self, path, monkeypatch):
         monkeypatch.setattr(model_archive, "MOST_DATA", 1000)
@@ -331,7 +331,7 @@ class TestBombs:
     def test_nested_without_end(self, path):
         members = members_of(path)
         write(path, {**members, "data": b"[" * 10**6})
-        refuse(path, "no file of a model of this package")
+        refuse(path, "not a saved model of this package")
 
     @pytest.mark.parametrize("name", ["../evil", "/evil", "a/../../evil"])
     def test_names_that_leave_the_folder(self, path, tmp_path, name):
@@ -408,7 +408,7 @@ class TestNumbers:
     )  # fmt: skip
     def test_methods(self, path, change):
         forge(path, lambda data: data["method"].update(change))
-        refuse(path, "cannot be loaded|no file of a model of this package")
+        refuse(path, "cannot be loaded|not a saved model of this package")
 
     @pytest.mark.parametrize("entry", ["attributes", "training", "method", "running", "generator", "arrays", "algorithm"])
     @pytest.mark.parametrize("value", [None, 7, "x", [], [[]], {"x": 1}, {":kind:": "array", "name": "x"}], ids=str)
@@ -450,7 +450,7 @@ class TestRollouts:
     )  # fmt: skip
     def test_transitions(self, path, transition, kind):
         forge(path, lambda data: data["running"]["rollout"].update(transitions=[transition]))
-        refuse(path, "cannot be resumed|no file of a model", lambda path: TabularQ.resume(path, kind([make_lake])))
+        refuse(path, "cannot be resumed|not a saved model", lambda path: TabularQ.resume(path, kind([make_lake])))
 
     @pytest.mark.parametrize("actions", [[4], [-1], [0, 0], ["x"], [0.5], 7])
     def test_actions(self, path, actions):
