@@ -331,7 +331,7 @@ def test_continue_from_a_checkpoint(vec_env: str, run: Run, capsys: pytest.Captu
     run("--vec-env", vec_env, "--save-freq", "700")
     capsys.readouterr()
     run("--vec-env", vec_env, "-i", str(run.path() / "rl_model_700_steps.zip"), "--seed", "7", "-n", "5")
-    assert "rl_model_700_steps.zip, which has 1300 steps left" in capsys.readouterr().out
+    assert "rl_model_700_steps.zip: 1300 steps are left" in capsys.readouterr().out
     whole, rest = run.model(), run.model(number=2)
     assert rest.q_table.tobytes() == whole.q_table.tobytes()
     assert rest.training.as_data() == whole.training.as_data()
