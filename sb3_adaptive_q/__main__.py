@@ -8,10 +8,10 @@ COMMANDS = {
     "train": ("sb3_adaptive_q.zoo", "main", "zoo", "train an agent with RL Zoo"),
     "enjoy": ("sb3_adaptive_q.zoo", "main", "zoo", "show a trained agent"),
     "record-video": ("sb3_adaptive_q.zoo", "main", "zoo", "record a video of a trained agent"),
-    "plot": ("sb3_adaptive_q.zoo", "main", "zoo-plots", "plot how agents learned"),
+    "plot": ("sb3_adaptive_q.zoo", "main", "zoo-plots", "plot the returns of trainings"),
     "study": ("sb3_adaptive_q.experiments.paper.command", "main", "study", "repeat the paper's experiment"),
-    "league": ("sb3_adaptive_q.experiments.league.command", "main", "study", "compare step sizes on many environments"),
-    "methods": ("sb3_adaptive_q.listing", "main", "", "list the methods with formulas and parameters"),
+    "league": ("sb3_adaptive_q.experiments.league.command", "main", "study", "compare step sizes in many environments"),
+    "methods": ("sb3_adaptive_q.listing", "main", "", "list all methods with formulas and parameters (takes no options)"),
 }
 
 
@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _usage() -> str:
     listed = "\n".join(f"  {name:<14}{what}" for name, (_, _, _, what) in COMMANDS.items())
-    return f"usage: python -m sb3_adaptive_q COMMAND [option ...]\n\n{listed}\n\nEvery command but `methods` has --help."
+    return f"usage: python -m sb3_adaptive_q COMMAND [option ...]\n\n{listed}\n\nCOMMAND --help lists its options."
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Action masks: behaviour and targets that keep to the actions which ``info["action_mask"]`` allows."""
+"""Action masks: behaviour and targets use only the actions that ``info["action_mask"]`` allows."""
 
 from typing import Any
 
@@ -6,28 +6,28 @@ import numpy as np
 
 from sb3_adaptive_q.behaviour import Behaviour
 
-#: Where an environment says which actions are allowed, as gymnasium's Taxi does
+#: The key of ``info`` that says which actions are allowed, as in gymnasium's Taxi
 ACTION_MASK = "action_mask"
-#: The buffer of the policy with the mask of every state as it was seen last: 1 for an action that is allowed, 0 for others,
-#: and 1 where the state was not seen
+#: The buffer of the policy with the latest mask of every state: 1 for an action that is allowed, 0 for others. A state that
+#: was not seen yet has 1 for all actions
 ALLOWED = "allowed"
 
 
 def mask_arrays(n_actions: int) -> dict[str, np.ndarray]:
     """
     :param n_actions: columns of the table
-    :return: what the functions of :func:`make_masked` work with besides the masks: room for two rows
+    :return: the working arrays of the functions of :func:`make_masked`, besides the masks: a buffer for two rows
     """
     return {"allowed_rows": np.zeros((2, 1, n_actions))}
 
 
 def note_mask(allowed: np.ndarray, state: int, info: dict[str, Any]) -> None:
     """
-    Take over the mask of a state in which an action is to be chosen. Masks must be functions of the state.
+    Store the mask of a state in which an action is to be chosen. The mask must depend on the state only.
 
     :param allowed: the masks of all states, of shape (n_states, n_actions)
     :param state: the row of the table
-    :param info: what the environment said when it reached the state
+    :param info: the info dict that the environment returned with the state
     :raises ValueError: if there is no mask, it does not fit, or it forbids every action
     """
     mask = info.get(ACTION_MASK)
@@ -43,7 +43,7 @@ def check_mask(mask: np.ndarray, shape: tuple[int, ...], where: str) -> np.ndarr
     """
     :param mask: 1 for every action that is allowed, 0 for the others
     :param shape: the shape that it must have, actions last
-    :param where: what it belongs to, for the message
+    :param where: the states that it belongs to, for the message
     :return: the mask as booleans
     :raises ValueError: if it has another shape, or a row forbids every action
     """
@@ -60,8 +60,8 @@ def gather(values, allowed, state, row):
     :param values: of shape (n_states, n_actions)
     :param allowed: which actions are allowed, of the same shape
     :param state: the row
-    :param row: of shape (1, n_actions); its beginning is set to the values of the allowed actions
-    :return: how many these are
+    :param row: of shape (1, n_actions); its first entries are set to the values of the allowed actions
+    :return: the number of allowed actions
     """
     n_allowed = 0
     for action in range(values.shape[1]):
@@ -75,8 +75,8 @@ def allowed_action(allowed, state, place):
     """
     :param allowed: which actions are allowed, of shape (n_states, n_actions)
     :param state: the row
-    :param place: a number from 0
-    :return: the allowed action with that many allowed ones before it
+    :param place: the place among the allowed actions, from 0
+    :return: the allowed action at that place
     """
     for action in range(allowed.shape[1]):
         if allowed[state, action]:
@@ -88,7 +88,7 @@ def allowed_action(allowed, state, place):
 
 def show_allowed(tables, state, row):
     """
-    :param tables: of action values first, of shape (n_states, n_actions), the masks last
+    :param tables: the table of action values first, of shape (n_states, n_actions), and the masks last
     :param state: the state to act in
     :param row: of shape (n_actions,); set to the values of the actions, minus infinity for those that are not allowed
     """
@@ -99,8 +99,8 @@ def show_allowed(tables, state, row):
 def make_masked(behaviour: Behaviour) -> Behaviour:
     """
     :param behaviour: a behaviour policy
-    :return: the same among the actions that are allowed. The last two tables that its functions are given are room for
-        two rows, of shape (2, 1, n_actions), and the masks, of shape (n_states, n_actions)
+    :return: the same behaviour among the actions that are allowed. The last two of the tables that its functions get are a
+        buffer for two rows, of shape (2, 1, n_actions), and the masks, of shape (n_states, n_actions)
     """
     choose, expect, best, _ = behaviour
 

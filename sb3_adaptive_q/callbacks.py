@@ -1,4 +1,4 @@
-"""Methods that set the step size, as SB3 callbacks, and a callback that keeps what every episode was like."""
+"""Methods that set the step size, as SB3 callbacks, and a callback that records every episode."""
 
 import inspect
 import warnings
@@ -18,9 +18,9 @@ class LearningRateCallback(BaseCallback):
     """
     Base class of everything that sets the step size μ at every update.
 
-    When training starts, the callback installs its functions in the model, which applies them inside the update: SB3 calls
-    ``on_step`` before the update, so a rule that looks at it cannot live there. The method stays in force for later calls of
-    ``learn``, and is saved with the model. ``reset_num_timesteps=True`` starts it anew, ``False`` goes on.
+    When training starts, the callback installs its functions in the model, which calls them inside the update. (SB3 calls
+    ``on_step`` before the update, too early for a rule that depends on the update.) The method remains active in later calls
+    of ``learn``, and is saved with the model. ``reset_num_timesteps=True`` starts it anew, ``False`` continues it.
 
     A method of your own is a subclass with one of these plain functions, or both, as static methods:
 
@@ -28,30 +28,30 @@ class LearningRateCallback(BaseCallback):
       change its arrays in place, at ``[step.row, step.column]``.
     - ``rule(mu, step, *parameters)`` returns the scalar step size that the *next* update starts from.
 
-    :class:`sb3_adaptive_q.step_sizes.Step` says what they may look at. Both are compiled with Numba: write them with
-    numbers only. A function that Numba does not compile runs as Python on an ordinary environment, after a warning.
+    ``step`` is a :class:`sb3_adaptive_q.step_sizes.Step`, which lists what they may use. Both are compiled with Numba: write
+    them with numbers only. A function that Numba does not compile runs as Python on an ordinary environment, after a warning.
 
-    :param mu_0: the scalar step size of the first update; ``None`` asks the functions, with a step of zeros
+    :param mu_0: the scalar step size of the first update; ``None`` takes what the functions give for a step of zeros
     :param next_action: which action's value in the next state a rule sees: ``"same"``, Q_t(s_{t+1}, a_t);
         ``"next"``, Q_t(s_{t+1}, a_{t+1}); ``"max"``, max_a Q_t(s_{t+1}, a)
     :param reset_each_episode: whether μ starts again from ``mu_0`` with every episode (with one environment only)
-    :param scope: what has a cell of its own in the arrays: ``"pair"`` each state and action, ``"state"`` each state,
-        ``"shared"`` only the whole training
+    :param scope: how many cells the arrays have: ``"pair"`` one for each state and action, ``"state"`` one for each state,
+        ``"shared"`` a single one
     :param memory: the number that every cell of an array starts from, by the array's name; ``None`` for the class's own
     :param parameters: the functions' further arguments, by name
-    :raises ValueError: if an argument is not one of these, or the parameters are not the functions'
+    :raises ValueError: if an argument is out of range, or the parameters do not match the functions' arguments
     """
 
     step_size: ClassVar[Callable[..., float] | None] = None
     rule: ClassVar[Callable[..., float] | None] = None
     #: The arrays of ``step_size``: the number that every cell starts from, by name, in the order of its arguments
     memory: ClassVar[Mapping[str, float]] = {}
-    #: Whether ``step.count`` is asked for, the updates of a cell
+    #: Whether the functions use ``step.count``, the number of updates of a cell
     counts: ClassVar[bool] = False
-    #: What a step size is clipped to; without both, one outside [0, 1] is an error
+    #: The bounds to which a step size is clipped. Without both, a step size outside [0, 1] is an error
     lower: ClassVar[float | None] = None
     upper: ClassVar[float | None] = None
-    #: The compiled path calls this callback at the end of a rollout, and it needs no more
+    #: Whether a call at the end of each rollout, as on the compiled path, is enough for this callback
     knows_rollouts: ClassVar[bool] = True
 
     def __init__(
@@ -87,7 +87,7 @@ class LearningRateCallback(BaseCallback):
 
     def _install(self, method: InstalledMethod) -> None:
         self.method = method
-        method.data._replace(mu_0=method.start())  # raises where the functions give no step size
+        method.data._replace(mu_0=method.start())  # raises an error if the functions give no step size
 
     def _on_training_start(self) -> None:
         if not hasattr(self.model, "install_method"):
@@ -106,9 +106,9 @@ class StepSizeCallback(LearningRateCallback):
 
     :param name: a name in :data:`sb3_adaptive_q.STEP_SIZES`
     :param scope: as in :class:`LearningRateCallback`
-    :param lower: the least step size, where the step size has no parameter of that name
+    :param lower: the least step size. If the step size has a parameter of that name, this sets the parameter
     :param upper: the largest step size, likewise
-    :param parameters: what differs from the defaults of its parameters
+    :param parameters: values of its parameters that differ from the defaults
     :raises ValueError: if there is no such step size, it has no such parameter, or a value is out of range
     """
 
@@ -128,7 +128,7 @@ class StepSizeCallback(LearningRateCallback):
 
 class ConstantRateCallback(LearningRateCallback):
     """
-    Methods 1 and 2 (Eqs. 3 and 4): μ stays where it is.
+    Methods 1 and 2 (Eqs. 3 and 4): μ is constant.
 
     :param beta: the step size: β1 = 0.01 in Method 1, β2 = 0.05 in Method 2
     :raises ValueError: if it is not from 0 to 1
@@ -142,7 +142,7 @@ class ConstantRateCallback(LearningRateCallback):
 
 
 class _LinearRateCallback(LearningRateCallback):
-    """What Methods 3 and 4 have in common: from one end of [β1, β1 + β3] to the other."""
+    """The base class of Methods 3 and 4: μ goes linearly from one end of [β1, β1 + β3] to the other."""
 
     def __init__(self, beta_1: float = 0.01, beta_3: float = 0.04) -> None:
         beta_1, beta_3 = check("beta_1", beta_1), check("beta_3", beta_3)
@@ -178,11 +178,12 @@ class ProportionalRateCallback(LearningRateCallback):
     """
     Methods 5 and 6 (Eqs. 7, 8 and 11): μ moves in proportion to the change of value along the transition.
 
-    :param gain: what the change of value is multiplied with: -β5 = -0.05 in Method 5, +β5 in Method 6
+    :param gain: the factor of the change of value: -β5 = -0.05 in Method 5, +β5 in Method 6
     :param mu_0: the step size of the first update
     :param lower: β7, the least step size
     :param upper: β8, the largest step size
-    :param next_action: as in :class:`LearningRateCallback`; the paper's equations do not say which, ``"same"`` is our reading
+    :param next_action: as in :class:`LearningRateCallback`; the paper's equations do not say
+        which, and ``"same"`` is our reading
     :param reset_each_episode: as in :class:`LearningRateCallback`
     :raises ValueError: if a step size is not from 0 to 1, or ``lower`` lies above ``upper``
     """
@@ -206,7 +207,8 @@ class SignRateCallback(LearningRateCallback):
     """
     Methods 7 and 8 (Eqs. 9, 10 and 11): μ moves by a fixed step, up or down with the change of value along the transition.
 
-    :param step: what μ moves by where the value does not fall: +β6 = 0.005 in Method 7, -β6 in Method 8
+    :param step: the change of μ if the value does not fall: +β6 = 0.005 in Method 7, -β6 in Method 8. If the value falls, μ
+        changes by the negative of it
     :param mu_0: the step size of the first update
     :param lower: β7, the least step size
     :param upper: β8, the largest step size
@@ -236,7 +238,7 @@ class Method(NamedTuple):
 
     :param equation: the number of its equation in the paper
     :param formula: what it does to μ
-    :param callback: makes its callback, with the paper's β unless told otherwise
+    :param callback: a function that makes its callback, by default with the paper's β
     """
 
     equation: str
@@ -262,16 +264,16 @@ def method(number: int | str, **parameters: Any) -> LearningRateCallback:
     The callback of a method: one of the paper's, or a step size of the literature.
 
     :param number: 1 to 8 for the paper's, see :data:`METHODS`; a name for the literature's, see :data:`STEP_SIZES`
-    :param parameters: what shall differ from the defaults, by the names of the callback's arguments
-    :return: the callback, to be handed to ``learn``
+    :param parameters: arguments of the callback that differ from the defaults
+    :return: the callback to pass to ``learn``
     :raises ValueError: if there is no such method, or it has no such parameter
     """
     if isinstance(number, str):
         return StepSizeCallback(number, **parameters)
     if not _is_method_number(number):
         raise ValueError(
-            f"There are methods 1 to 8, and step sizes with a name, but got {number!r}: see `sb3_adaptive_q.METHODS` and "
-            "`sb3_adaptive_q.STEP_SIZES`."
+            f"A method is a number from 1 to 8 or the name of a step size, but got {number!r}: see `sb3_adaptive_q.METHODS` "
+            "and `sb3_adaptive_q.STEP_SIZES`."
         )
     make = METHODS[number].callback
     known = list(inspect.signature(make).parameters)
@@ -301,8 +303,8 @@ class Episodes(NamedTuple):
 
 class EpisodeSeriesCallback(BaseCallback):
     """
-    Keeps what every finished episode was like, as arrays with a row for each: ``returns``, ``lengths``, ``rates`` (μ in force
-    at the last transition) and ``epsilons``. They may be read at any time, after an interrupt too.
+    Records every finished episode, in arrays with one entry for each: ``returns``, ``lengths``, ``rates`` (μ in force at the
+    last transition) and ``epsilons``. They can be read at any time, also after an interrupt.
     """
 
     knows_rollouts: ClassVar[bool] = True
@@ -351,7 +353,7 @@ class EpisodeSeriesCallback(BaseCallback):
 def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:
     """
     :param callback: what ``learn`` takes: a callback, a list of them, a function, or None
-    :return: every callback object in it, the nested ones too
+    :return: every callback object in it, also the nested ones
     """
     children: Iterable[Any] = ()
     if isinstance(callback, list | tuple):
@@ -373,7 +375,7 @@ def iterate_callbacks(callback: Any) -> Iterator[BaseCallback]:
 def check_callback(callback: Any) -> None:
     """
     :param callback: what ``learn`` takes
-    :raises ValueError: if it is nothing of the kind, or more than one callback in it would set the step size
+    :raises ValueError: if it is not a callback, or more than one callback in it sets the step size
     """
     check("callback", callback)
     found = [type(each).__name__ for each in iterate_callbacks(callback) if isinstance(each, LearningRateCallback)]
@@ -386,7 +388,7 @@ def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
     Warn of every callback of the user that is called once for many steps and does not declare that it expects that.
 
     :param model: a model on a compiled environment
-    :param callback: what is called after every rollout
+    :param callback: the callback that is called after every rollout
     """
     if model.callback_interval is not None:
         return

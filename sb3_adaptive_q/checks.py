@@ -1,4 +1,4 @@
-"""What every argument has to be: one table of names, types and ranges, and one form of message."""
+"""The types and ranges of all arguments, in one table, and one form of message for them."""
 
 import math
 import os
@@ -14,21 +14,21 @@ from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
 from sb3_adaptive_q.behaviour import EXPLORATIONS, SCHEDULES, TIES
 from sb3_adaptive_q.step_sizes.cells import SCOPES
 
-#: More steps than are ever taken, and few enough to be counted in 64 bits
+#: The largest number of steps. No training takes as many, and 64 bits can count them
 MOST_STEPS = 2**62
 
-#: Compiled code keeps a byte and more for every step between two calls of a callback
+#: Compiled code needs more than a byte of memory for every step between two calls of a callback
 LONGEST_INTERVAL = 100_000_000
 
-#: Seeds are handed to NumPy's global generator too, which takes 32 bits
+#: Seeds are also passed to NumPy's global generator, which takes 32 bits
 LARGEST_SEED = 2**32 - 1
 
-#: As many numbers as a deque can hold are as good as no limit, but a machine has no memory for them
+#: The largest window of episodes. A machine would not have the memory for a larger one
 LARGEST_WINDOW = 100_000_000
 
 MOST_WORKERS = 1024
 
-#: Of one experiment: to list more takes longer than to carry out most of them
+#: The largest number of runs of one experiment. A list of more would take longer than most experiments
 MOST_RUNS = 1_000_000
 
 _SHORT = reprlib.Repr()
@@ -37,11 +37,11 @@ _SHORT.maxstring = _SHORT.maxother = 200
 
 class Check(NamedTuple):
     """
-    What an argument has to be.
+    The type and the range of an argument.
 
-    :param expected: the words for it, as they stand after "must be"
-    :param convert: a function of the value that returns it as a plain Python type, and raises a ValueError, TypeError or
-        OverflowError for a value that is something else
+    :param expected: a description, which follows the words "must be" in messages
+    :param convert: a function that returns a valid value as a plain Python type, and raises a ValueError, TypeError or
+        OverflowError for any other
     """
 
     expected: str
@@ -49,10 +49,10 @@ class Check(NamedTuple):
 
     def apply(self, name: str, value: Any) -> Any:
         """
-        :param name: what the argument is called
-        :param value: what was given
+        :param name: the name of the argument
+        :param value: the value that was given
         :return: the value as a plain Python type
-        :raises ValueError: if it is something else than expected
+        :raises ValueError: if it is not what is expected
         """
         try:
             return self.convert(value)
@@ -61,8 +61,8 @@ class Check(NamedTuple):
 
     def or_none(self, meaning: str = "") -> "Check":
         """
-        :param meaning: what ``None`` stands for
-        :return: the check that lets ``None`` pass too
+        :param meaning: the meaning of ``None``
+        :return: a check that also accepts ``None``
         """
 
         def convert(value: Any) -> Any:
@@ -91,7 +91,7 @@ def real_number(least: float = -math.inf, most: float = math.inf, above: float =
     """
     :param least: the least number
     :param most: the largest number
-    :param above: what it must be larger than
+    :param above: a number that it must be larger than
     :return: the check for a finite ``float``
     """
 
@@ -123,7 +123,7 @@ def one_of(choices: Collection[str]) -> Check:
 def of_type(kind: type | tuple[type, ...], expected: str) -> Check:
     """
     :param kind: the type
-    :param expected: the words for it
+    :param expected: its description in messages
     :return: the check for that type
     """
 
@@ -136,7 +136,7 @@ def of_type(kind: type | tuple[type, ...], expected: str) -> Check:
 
 
 def _show(value: Any) -> str:
-    """The value in not too many words."""
+    """The value as a short text."""
     try:
         return _SHORT.repr(value)
     except ValueError:  # Python writes no number of more than 4300 digits
@@ -144,7 +144,7 @@ def _show(value: Any) -> str:
 
 
 def _number(value: Any) -> Any:
-    """The number in a number of any library, an array without axes included."""
+    """A number of any library, or an array without axes, as a plain number."""
     if getattr(value, "shape", None) == ():
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, Real):
@@ -186,7 +186,7 @@ def _numbers_by_name(value: Any) -> dict[str, float]:
 
 
 def _steps(value: Any) -> int:
-    return min(whole_number(0).convert(value), MOST_STEPS)  # more would be as good as no end
+    return min(whole_number(0).convert(value), MOST_STEPS)  # a larger number makes no difference
 
 
 def _callback(value: Any) -> Any:
@@ -203,14 +203,14 @@ RATE = real_number(0.0, 1.0)
 FINITE = real_number()
 NOT_NEGATIVE = real_number(0.0)
 RATE_ABOVE_0 = Check(
-    "a number above 0 and up to 1, for an exploration rate that falls by equal factors",
+    "a number above 0 and up to 1, for an exploration rate that falls exponentially",
     real_number(0.0, 1.0, above=0.0).convert,
 )
 TEMPERATURE = Check("a finite number above 0, the temperature of Boltzmann exploration", real_number(above=0.0).convert)
 FLAG = Check("True or False", _flag)
 MAPPING = of_type(Mapping, "a dict of arguments")
 
-#: Of the constructors
+#: Arguments of the constructors
 CONSTRUCTOR: dict[str, Check] = {
     "learning_rate": Check(
         f"{RATE.expected}, or a function of the remaining progress that gives such numbers", _rate_or_schedule
@@ -234,10 +234,10 @@ CONSTRUCTOR: dict[str, Check] = {
     "seed": whole_number(0, LARGEST_SEED).or_none("a new one every time"),
 }
 
-#: The attributes of a model that are called otherwise than the arguments
+#: Arguments whose attribute of the model has another name
 ATTRIBUTES = {"stats_window_size": "_stats_window_size"}
 
-#: Of ``learn`` and ``learn_many``
+#: Arguments of ``learn`` and ``learn_many``
 LEARN: dict[str, Check] = {
     "total_timesteps": Check(whole_number(0).expected, _steps),
     "callback": Check("a callback, a list of callbacks, or a function of two arguments", _callback).or_none(),
@@ -248,7 +248,7 @@ LEARN: dict[str, Check] = {
     "workers": whole_number(1, MOST_WORKERS).or_none("the number of cores"),
 }
 
-#: Of ``load`` and ``resume``
+#: Arguments of ``load`` and ``resume``
 LOAD: dict[str, Check] = {
     "custom_objects": MAPPING.or_none(),
     "print_system_info": FLAG,
@@ -256,7 +256,7 @@ LOAD: dict[str, Check] = {
     "allow_pickle": FLAG,
 }
 
-#: Of methods; those of the literature's step sizes stand with their formulas, in :data:`sb3_adaptive_q.STEP_SIZES`
+#: Arguments of methods. Those of the literature's step sizes are in :data:`sb3_adaptive_q.STEP_SIZES`
 METHOD: dict[str, Check] = {
     "mu": RATE,
     "mu_0": RATE.or_none("what the functions give"),
@@ -273,7 +273,7 @@ METHOD: dict[str, Check] = {
     "memory": Check("a dict of finite numbers by name", _numbers_by_name).or_none("the class's own"),
 }
 
-#: Of experiments, the paper's included
+#: Settings of experiments, the paper's included
 STUDY: dict[str, Check] = {
     "runs": whole_number(1, MOST_RUNS),
     "seed": whole_number(0),
@@ -284,10 +284,10 @@ STUDY: dict[str, Check] = {
     "next_action": one_of(NEXT_ACTIONS).or_none("the preset's"),
 }
 
-#: Of how an experiment is carried out
+#: How an experiment is carried out
 EXECUTION: dict[str, Check] = {"workers": LEARN["workers"], "processes": FLAG, "progress": FLAG}
 
-#: Of the league, whose statistics need two of each
+#: Settings of the league. Its statistics need at least two of each
 LEAGUE: dict[str, Check] = {
     "runs": whole_number(2, MOST_RUNS),
     "tuning_runs": whole_number(2, MOST_RUNS),
@@ -297,18 +297,18 @@ LEAGUE: dict[str, Check] = {
     "quick": FLAG,
 }
 
-#: What each argument of a model, its training and its method has to be, by its name
+#: The checks of all arguments of a model, its training and its method, by name
 CHECKS: dict[str, Check] = {**CONSTRUCTOR, **LEARN, **LOAD, **METHOD}
 
 
 def check(name: str, value: Any) -> Any:
     """
-    Check an argument where it enters.
+    Check an argument.
 
     :param name: its name, one of :data:`CHECKS`
-    :param value: what was given
-    :return: the value as a plain Python type, such as ``int`` in place of ``np.int64``
-    :raises ValueError: if it is not what the table says
+    :param value: the value that was given
+    :return: the value as a plain Python type, such as ``int`` instead of ``np.int64``
+    :raises ValueError: if it is not what :data:`CHECKS` expects
     """
     return CHECKS[name].apply(name, value)
 
@@ -317,10 +317,10 @@ def check_range(name: str, values: np.ndarray, stop: int) -> None:
     """
     Check an array that was read from a file.
 
-    :param name: what the array is called
+    :param name: the name of the array
     :param values: whole numbers
     :param stop: the first number that is too large
-    :raises ValueError: if one of them is not from 0 to below that
+    :raises ValueError: if a number is negative, or not below ``stop``
     """
     if ((values < 0) | (values >= stop)).any():
         raise ValueError(f"`{name}` must hold numbers from 0 to {stop - 1}, but has others.")

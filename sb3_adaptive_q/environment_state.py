@@ -1,4 +1,4 @@
-"""Where the environments of a training are, as plain data: read when it is saved, put back when it is resumed."""
+"""The state of a training's environments as plain data: read for a saved file, and put back when training resumes."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -28,7 +28,7 @@ from sb3_adaptive_q.vec_env.summed_rewards import SummedRewards
 from sb3_adaptive_q.vec_env.tabular_dynamics import steps_by_table
 from sb3_adaptive_q.wrappers import DiscretizeObservation
 
-#: What gymnasium's environments, and ours, keep from step to step
+#: The attributes that gymnasium's environments, and ours, keep from step to step
 _STATE_OF_ENV: dict[type[gym.Env], tuple[str, ...]] = {
     FrozenLakeEnv: ("s", "lastaction"),
     CliffWalkingEnv: ("s", "lastaction"),
@@ -42,9 +42,9 @@ _STATE_OF_ENV: dict[type[gym.Env], tuple[str, ...]] = {
     PendulumEnv: ("state",),
 }
 _TIME_LIMIT = "gymnasium.wrappers.common:TimeLimit"
-#: rl_zoo3 puts a class of its own in the place of gymnasium's
+#: rl_zoo3 replaces gymnasium's class by its own
 _SAME_AS = {"rl_zoo3.gym_patches:PatchedTimeLimit": _TIME_LIMIT}
-#: What wrappers keep from step to step
+#: The attributes that wrappers keep from step to step
 _STATE_OF_WRAPPER: dict[str, tuple[str, ...]] = {
     path_of(Monitor): ("rewards", "needs_reset", "total_steps", "current_reset_info"),
     _TIME_LIMIT: ("_elapsed_steps",),
@@ -55,13 +55,13 @@ _STATE_OF_WRAPPER: dict[str, tuple[str, ...]] = {
 
 
 class CannotRead(ValueError):
-    """The state of an environment cannot be read; the message names the class, and says what it needs."""
+    """The state of an environment cannot be read. The message names the class, and says what it needs."""
 
 
 def read_environments(env: VecEnv) -> list[dict[str, Any]]:
     """
     :param env: the environments
-    :return: for each of them: its generator's state, and what it and its wrappers keep from step to step
+    :return: for each of them, the state of its generator, and the state of the environment and its wrappers
     :raises CannotRead: if one of them has no state that can be read and put back
     """
     return [_read(each) for each in _single_envs(env)]
@@ -71,7 +71,7 @@ def check_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
     """
     :param env: environments
     :param states: what :func:`read_environments` returned
-    :raises ValueError: if the environments are others than those that were read, or not as many
+    :raises ValueError: if the environments are not like those that were read, or their number differs
     """
     envs = _single_envs(env)
     if len(envs) != len(states):
@@ -82,7 +82,7 @@ def check_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
 
 def write_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
     """
-    Put environments where others were. They are reset first, so that they have all that a reset gives them.
+    Put environments into a state that was read. They are reset first, so that they have all that a reset makes.
 
     :param env: environments that :func:`check_environments` has found to be like those that were read
     :param states: what :func:`read_environments` returned
@@ -94,14 +94,14 @@ def write_environments(env: VecEnv, states: list[dict[str, Any]]) -> None:
 
 def _single_envs(env: VecEnv) -> list[gym.Env]:
     if not isinstance(env, DummyVecEnv):
-        raise CannotRead(f"{type(env).__name__} does not let its environments be read: use LeanVecEnv without a wrapper")
+        raise CannotRead(f"the environments inside a {type(env).__name__} cannot be read: use LeanVecEnv without a wrapper")
     return env.envs
 
 
 def _layers(env: gym.Env) -> Iterator[tuple[str, Callable[[], Any], Callable[[Any], None]]]:
     """
-    The wrappers that keep something, from the outside to the inside, and the environment: of each the name of its class, a
-    function that reads its state, and one that puts a state back.
+    The wrappers that have a state, from the outside to the inside, and then the environment: for each the name of its class,
+    a function that reads its state, and one that puts a state back.
     """
     layer = env
     while isinstance(layer, gym.Wrapper):
@@ -167,7 +167,7 @@ def _set(layer: gym.Env, names: tuple[str, ...], state: dict[str, Any]) -> None:
 
 
 def _state_names(layer: gym.Env) -> tuple[str, ...] | None:
-    if {"step", "reset"} & set(vars(layer)):  # it has functions of its own, which may keep more
+    if {"step", "reset"} & set(vars(layer)):  # they were replaced on this object, and may keep more
         return None
     if isinstance(layer, gym.Wrapper):
         return _STATE_OF_WRAPPER.get(_class_name(layer))

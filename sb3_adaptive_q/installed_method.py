@@ -1,4 +1,4 @@
-"""A method as the model keeps it: plain data, and the functions that it stands for."""
+"""A method as the model keeps it: its plain data and its functions."""
 
 import inspect
 from collections.abc import Callable
@@ -19,15 +19,15 @@ _STEP_OF_ZEROS = Step(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 class MethodData(NamedTuple):
     """
-    What a saved file holds of a method.
+    The part of a method that a saved file holds.
 
     :param owner: the name of a step size in ``STEP_SIZES``, or the callback class that has the functions, as
         ``module:qualified name``
-    :param label: what the method is called in names of runs
+    :param label: the name of the method in names of runs
     :param parameters: the functions' further arguments by name
     :param memory: the number that every cell of an array starts from, by the array's name
-    :param counts: whether the step size asks for ``step.count``
-    :param scope: what a cell of the memory belongs to, a key of ``SCOPES``
+    :param counts: whether the step size uses ``step.count``
+    :param scope: which updates share a cell of the memory, a key of ``SCOPES``
     :param bounds: the least and the largest step size
     :param mu_0: the scalar step size to start from; ``None`` for what the functions give for a step of zeros
     :param next_action: which action's value in the next state the rule sees
@@ -48,6 +48,8 @@ class MethodData(NamedTuple):
 
 class InstalledMethod:
     """
+    A method that is ready to be used: its data, checked against its functions.
+
     :param data: the method as data
     :param functions: (step_size, rule), each of them may be ``None``
     :raises ValueError: if the data do not fit the functions
@@ -59,7 +61,7 @@ class InstalledMethod:
         self.data = data._replace(parameters=self._in_order(data))
 
     def _in_order(self, data: MethodData) -> dict[str, float]:
-        """The parameters in the order of the functions' arguments, after a check of these."""
+        """Check the functions' arguments, and put the parameters in the same order."""
         arrays = list(data.memory)
         for name, function, names in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
             if function is not None:
@@ -81,7 +83,7 @@ class InstalledMethod:
 
     @property
     def has_memory(self) -> bool:
-        """Whether there is a step size for each entry, state or training, besides the scalar μ."""
+        """Whether each update has a step size of its own, from ``step_size``, besides the scalar μ."""
         return self.step_size is not None
 
     @property
@@ -91,23 +93,23 @@ class InstalledMethod:
 
     @cached_property
     def size_function(self) -> Callable[..., Any]:
-        """What an update calls to form its step size."""
+        """The function that computes the step size of an update."""
         if self.step_size is None:
             return scalar_size
         return make_size(self.step_size, self.data.scope, self.data.counts, len(self.array_starts))
 
     @property
     def rule_function(self) -> Callable[..., float]:
-        """What forms the next scalar μ."""
+        """The function that computes the next scalar μ."""
         if self.rule is not None:
             return self.rule
         return last_size if self.step_size is not None else keep_mu
 
     def check_functions(self) -> None:
         """
-        Compile functions of a user's own by themselves, for a message that names the one at fault.
+        Compile the user's functions separately, so that a message can name the one at fault.
 
-        :raises CannotCompile: if one is outside the part of Python that becomes machine code
+        :raises CannotCompile: if Numba cannot compile one
         :raises ValueError: if one returns something else than a number
         """
         arrays = [np.zeros((1, 1)) for _ in self.data.memory]
@@ -126,7 +128,7 @@ class InstalledMethod:
     def start(self) -> float:
         """
         :return: the scalar step size of the first update
-        :raises ValueError: if the functions give none from 0 to 1 there
+        :raises ValueError: if the functions give no number from 0 to 1
         """
         if self.data.mu_0 is not None:
             return float(self.data.mu_0)
@@ -138,8 +140,8 @@ class InstalledMethod:
             mu = self.rule(0.0, step, *self.arguments)
         if not (isinstance(mu, Real) and 0.0 <= float(mu) <= 1.0):
             raise ValueError(
-                f"{self.data.owner} must give step sizes from 0 to 1, but for a step of zeros, where training starts, it gave "
-                f"{mu!r}: please check it, or say `mu_0`."
+                f"{self.data.owner} must give step sizes from 0 to 1, but for a step of zeros, before the first update, it "
+                f"gave {mu!r}: please check it, or pass `mu_0`."
             )
         return float(mu)
 

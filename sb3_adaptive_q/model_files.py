@@ -24,7 +24,7 @@ from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.step_sizes import STEP_SIZES, resolve_parameters
 from sb3_adaptive_q.training_state import TrainingState
 
-#: More environments than are ever stepped one after the other
+#: The largest number of environments that a file may have
 MOST_ENVS = 1_000_000
 
 SelfSavedAsData = TypeVar("SelfSavedAsData", bound="SavedAsData")
@@ -33,7 +33,7 @@ SelfSavedAsData = TypeVar("SelfSavedAsData", bound="SavedAsData")
 class SavedAsData:
     """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: its files, which :mod:`sb3_adaptive_q.model_archive` describes."""
 
-    #: Attributes that a model builds anew when it is loaded, or that a file holds in another way
+    #: Attributes that a model builds anew when it is loaded, or that the file stores in another way
     built_anew: ClassVar[frozenset[str]] = frozenset(
         (
             "policy", "device", "env", "replay_buffer", "rollout_buffer", "_vec_normalize_env", "_logger", "_custom_logger",
@@ -47,14 +47,15 @@ class SavedAsData:
 
     def save(self, path: Any, exclude: Iterable[str] | None = None, include: Iterable[str] | None = None) -> None:
         """
-        Save the model, whole or not at all: at every moment, a power cut included, the file is there whole or as it was.
+        Save the model. The file is replaced as a whole: if the process is killed or the power fails, there is either the
+        complete new file or the unchanged old one.
 
-        In a callback, all that the training needs to go on exactly is saved too; see :meth:`resume`.
+        In a callback, everything that the training needs to continue exactly is saved too; see :meth:`resume`.
 
         :param path: where to save it, a path or a binary file; a path without suffix gets ``.zip``
         :param exclude: attributes that are not saved
-        :param include: attributes that are saved even so
-        :raises OSError: if the file cannot be written; one that was there before is as it was
+        :param include: attributes that are saved although they are excluded by default or by ``exclude``
+        :raises OSError: if the file cannot be written; an older file of that name is unchanged
         """
         left_out = {*(exclude or ()), *self._excluded_save_params()} - set(include or ())  # type: ignore[attr-defined]
         data, arrays = collect(self, left_out | self.built_anew)
@@ -75,18 +76,18 @@ class SavedAsData:
         """
         Load a model, as :meth:`stable_baselines3.common.base_class.BaseAlgorithm.load` does. Nothing in the file is executed.
 
-        A ``method`` or a ``learning_rate`` among the keyword arguments replaces the method that was in force when the model
-        was saved; among ``custom_objects``, a learning rate counts where no method was. The agent's random numbers go on where
-        they were, and the environment is seeded anew, so that nothing is learned twice from the same numbers.
+        A ``method`` or a ``learning_rate`` among the keyword arguments replaces the saved method. A learning rate in
+        ``custom_objects`` has an effect only if the model was saved without a method. The agent's random numbers continue
+        where they were. The environment is seeded anew, so that the agent does not learn twice from the same random numbers.
 
         :param path: the file, a path with or without ``.zip`` or a binary file
         :param env: the environment to learn from, or its id; ``None`` for a model that only predicts
         :param device: as in the constructor
-        :param custom_objects: what to take in the place of attributes that the file holds, by their names
+        :param custom_objects: values to use instead of those in the file, by the name of the attribute
         :param print_system_info: whether to print the system that the model was saved on, and this one
         :param force_reset: whether learning begins with a reset of the environment
         :param allow_pickle: whether to read a file of this package's first version, which may execute what is in it
-        :param kwargs: attributes of the model that shall differ from the file
+        :param kwargs: attributes of the model that differ from the file
         :return: the model
         :raises ValueError: if the file is damaged or of another kind, the environment has other spaces, or an argument lies
             outside its range. Nothing has changed then
@@ -117,7 +118,7 @@ class SavedAsData:
             return read_pickled(path, custom)
         if print_system_info:
             print(f"== SAVED MODEL SYSTEM INFO ==\n{archive.system_info}")
-        if archive.data.get("method") is not None:  # RL Zoo's enjoy hands over a learning rate of 0 with every model
+        if archive.data.get("method") is not None:  # RL Zoo's enjoy passes a learning rate of 0 for every model
             custom.pop("learning_rate", None)
         return decode_model(archive, cls, custom)
 
@@ -130,7 +131,7 @@ class SavedAsData:
         force_reset: bool,
         kwargs: dict[str, Any],
     ) -> SelfSavedAsData:
-        """A model with all that the file says of it, but for what it was in the middle of."""
+        """Build a model from the contents of a file, without the training that was running."""
         attributes, changes = dict(saved.attributes), _changes_of_method(kwargs)
         properties = {name for name in changes if isinstance(inspect.getattr_static(cls, name, None), property)}
         changes = _checked(cls, changes, {*properties, *attributes})
@@ -144,7 +145,10 @@ class SavedAsData:
                     attributes["_last_obs"] = None
                 attributes["n_envs"] = env.num_envs
         if kwargs.get("policy_kwargs", attributes.get("policy_kwargs")) != attributes.get("policy_kwargs"):
-            raise ValueError(f"`policy_kwargs` must be as in the file, {attributes.get('policy_kwargs')}.")
+            raise ValueError(
+                f"`policy_kwargs` must be as in the file, {attributes.get('policy_kwargs')}, but got "
+                f"{kwargs['policy_kwargs']}: please leave them out."
+            )
         with refusing(saved.name, "cannot be loaded"):
             model = cls(policy=attributes["policy_class"], env=env, device=device, _init_setup_model=False)  # type: ignore[call-arg]
             model.__dict__.update(attributes)
@@ -162,7 +166,7 @@ class SavedAsData:
         model: Any = self
         buffers, training = saved.buffers, dict(saved.training)
         is_method_replaced = not {"method", "method_kwargs"}.isdisjoint(changes)
-        if is_method_replaced:  # the file's μ and memory are those of the other method
+        if is_method_replaced:  # the file's μ and memory belong to the old method
             buffers = {name: array for name, array in buffers.items() if not name.startswith(MEMORY) and name != "mu"}
             training.pop("mu", None)
         else:
@@ -189,16 +193,16 @@ class SavedAsData:
             model._declare_memory(method)
         elif data is not None:
             warnings.warn(
-                f"The class of the method in force, {data.owner}, is not imported: until its callback is given to `learn`, or "
-                "another method, the model learns with its `learning_rate`.",
+                f"The class of the saved method, {data.owner}, is not imported: the model learns with its `learning_rate` "
+                "until the callback of that method, or of another one, is passed to `learn`.",
                 stacklevel=5,
             )
             model._missing_method = data
-            # What the method remembers is kept for its callback, and for the next file
+            # The memory of the method is kept for its callback, and for the next file
             model.policy.declare({name: array.shape for name, array in buffers.items() if name.startswith(MEMORY)}, 0.0)
 
     def _restore_next_step(self, saved: SavedModel, is_changed: bool) -> None:
-        """What goes on with the episode that is running."""
+        """Restore the working arrays and the next actions, with which the running episode continues."""
         model: Any = self
         expected = model.new_working_arrays()
         fits = {name: (array.shape, array.dtype) for name, array in saved.working.items()} == {
@@ -207,9 +211,7 @@ class SavedAsData:
         if not fits and is_changed:  # of another size, because of another γ or λ: they begin anew
             return
         if not fits or any(np.isnan(array).any() for array in saved.working.values()):
-            raise ValueError(
-                f"the arrays that {type(self).__name__} works with are not those of this table and its environments"
-            )
+            raise ValueError(f"the working arrays of {type(self).__name__} do not fit this table and these environments")
         model.check_working_arrays(saved.working)
         model._working = saved.working
         actions = (saved.running or {}).get("next_actions")
@@ -221,7 +223,7 @@ class SavedAsData:
         model._choose_functions()
 
     def _seed_environments_anew(self) -> None:
-        """Let the environments draw other numbers than at the start of the training, and than after another file of it."""
+        """Seed the environments: their numbers differ from those at the start, and from those after another saved file."""
         model: Any = self
         if model.env is not None and model.seed is not None:
             entropy = [int(model.seed), int(model.training.record["counter"][0])]
@@ -231,7 +233,7 @@ class SavedAsData:
         self, load_path_or_dict: str | TensorDict, exact_match: bool = True, device: th.device | str = "auto"
     ) -> None:
         """
-        Take over tables, memory and μ, all or nothing.
+        Replace tables, memory and μ: all of them, or none after an error.
 
         :param load_path_or_dict: a saved file, or what ``get_parameters`` returned
         :param exact_match: whether all of them must be there
@@ -251,7 +253,7 @@ class SavedAsData:
         policy = self.policy  # type: ignore[attr-defined]
         unknown = sorted(set(given) - {"policy"})
         if unknown or (is_complete and not given):
-            raise ValueError(f"The parameters of a model are those of its 'policy', but got those of {unknown or 'nothing'}.")
+            raise ValueError(f"Parameters must be a dict with the key 'policy', but got {unknown or 'an empty one'}.")
         values = {name: th.as_tensor(value) for name, value in given.get("policy", {}).items()}
         arrays = {name: value.cpu().numpy() for name, value in values.items()}
         _check_names_and_shapes(policy.state_dict(), arrays, is_complete)
@@ -261,7 +263,7 @@ class SavedAsData:
     def check_functions_found(self, callback: Any) -> None:
         """
         :param callback: what ``learn`` is given
-        :raises ValueError: if the model was loaded without a function that it would learn with
+        :raises ValueError: if the training needs a function that was not found when the model was loaded
         """
         model: Any = self
         changed = model.learning_rate is not model._known_learning_rate
@@ -273,13 +275,13 @@ class SavedAsData:
         for name, function in needed.items():
             if isinstance(function, MissingFunction):
                 raise ValueError(
-                    f"`{name}` was the function {function.path} when the model was saved, which is not imported here: import "
+                    f"The saved model has the function {function.path} as its `{name}`, which is not imported here: import "
                     f"it before you load the model, or set `model.{name}`."
                 )
 
 
 def _changes_of_method(kwargs: dict[str, Any]) -> dict[str, Any]:
-    """What the keyword arguments of ``load`` change, of the method in force too."""
+    """What the keyword arguments of ``load`` change. A learning rate, or another method, replaces the saved method."""
     if "method" in kwargs:
         return {"method_kwargs": None, **kwargs}
     if "learning_rate" in kwargs and "method_kwargs" not in kwargs:
@@ -288,13 +290,13 @@ def _changes_of_method(kwargs: dict[str, Any]) -> dict[str, Any]:
 
 
 def _checked(kind: type, changes: Mapping[str, Any], attributes: set[str]) -> dict[str, Any]:
-    """What the keyword arguments of ``load`` change, by the names of the attributes; before the file is blamed for it."""
+    """Check what ``load`` is to change, before the file is blamed for it. The result has the names of the attributes."""
     known = {*CONSTRUCTOR, "method", "lr_schedule", *attributes}
-    for name in sorted(set(changes) - known):  # a slip of the pen would have no effect
+    for name in sorted(set(changes) - known):  # a misspelt name would have no effect
         nearest = difflib.get_close_matches(name, known, n=1)
         advice = f": did you mean `{nearest[0]}`?" if nearest else "."
         raise ValueError(f"`load` got `{name}`, but a {kind.__name__} has no such argument{advice}")
-    at_once = set(CONSTRUCTOR) - {"exploration_initial_eps", "exploration_final_eps"}  # what these may be, others decide
+    at_once = set(CONSTRUCTOR) - {"exploration_initial_eps", "exploration_final_eps"}  # their ranges depend on other arguments
     return {ATTRIBUTES.get(name, name): check(name, value) if name in at_once else value for name, value in changes.items()}
 
 
@@ -302,12 +304,12 @@ def _find_method(data: MethodData | None) -> InstalledMethod | None:
     """
     :param data: the method as data
     :return: the method; ``None`` where there is none, or its class is not imported
-    :raises ValueError: if the data are those of no method
+    :raises ValueError: if the data do not describe a method
     """
     if data is None:
         return None
     if not data.label.isidentifier():  # it becomes the name of a folder
-        raise ValueError(f"its method is called {data.label!r}, which is no name")
+        raise ValueError(f"its method has the name {data.label!r}, which is not an identifier")
     if data.owner in STEP_SIZES:
         resolve_parameters(data.owner, data.parameters)
         return InstalledMethod(data, (STEP_SIZES[data.owner].step_size, None))
@@ -319,10 +321,10 @@ def _find_method(data: MethodData | None) -> InstalledMethod | None:
 
 
 def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
-    """Before anything is made or seeded: a table that the spaces ask for, of numbers that learning gives."""
+    """Check, before anything is made or seeded, the shape of the table and the ranges of all numbers."""
     shape = make_state_index(attributes["observation_space"]).n_states, count_actions(attributes["action_space"])
     if saved.buffers["q_table"].shape != shape:
-        raise ValueError(f"`q_table` has the shape {saved.buffers['q_table'].shape}, but the spaces ask for {shape}")
+        raise ValueError(f"`q_table` has the shape {saved.buffers['q_table'].shape}, but the spaces need {shape}")
     n_envs = attributes.get("n_envs", 1)
     if not (type(n_envs) is int and 1 <= n_envs <= MOST_ENVS):
         raise ValueError(f"`n_envs` must be from 1 to {MOST_ENVS}, but got {n_envs!r}")
@@ -342,10 +344,12 @@ def _check_values(arrays: Mapping[str, np.ndarray]) -> None:
 def _check_names_and_shapes(
     own: Mapping[str, th.Tensor], given: Mapping[str, np.ndarray], is_complete: bool, is_file: bool = False
 ) -> None:
-    """Before any of them is taken over."""
+    """Check arrays, before the first of them replaces one of the model's."""
     missing, unknown = sorted(set(own) - set(given)), sorted(set(given) - set(own))
     if is_complete and (missing or unknown):
-        raise RuntimeError(f"the parameters lack {missing or 'nothing'}, and the model knows no {unknown or 'others'}")
+        raise RuntimeError(
+            f"the parameters must be those of the model, but missing are {missing or 'none'}, and unknown {unknown or 'none'}"
+        )
     for name in set(own) & set(given):
         array, shape = given[name], tuple(own[name].shape)
         if array.shape != shape:

@@ -18,10 +18,10 @@ _TRAINING = {
 
 def read_pickled(path: Any, custom_objects: dict[str, Any]) -> SavedModel:
     """
-    Read a file of format 1. This unpickles what is in it, which may execute anything.
+    Read a file of format 1. This unpickles its contents, which may execute any code.
 
     :param path: a path, with or without ``.zip``, or a binary file
-    :param custom_objects: what to take in the place of attributes that the file holds, by their names
+    :param custom_objects: values to use instead of those in the file, by the name of the attribute
     :return: the contents
     :raises ValueError: if it is a file of another algorithm
     """
@@ -32,7 +32,7 @@ def read_pickled(path: Any, custom_objects: dict[str, Any]) -> SavedModel:
     buffers = {key: tensor.numpy() for key, tensor in dict(parameters.get("policy", {})).items()}
     if data is None or data.get("format_version") != 1 or "q_table" not in buffers:
         raise ValueError(
-            f"The file {name} is of Stable-Baselines3's own format, and another algorithm wrote it: it has no table."
+            f"The file {name} has Stable-Baselines3's own format, but no table: it holds a model of another algorithm."
         )
     method = data.pop("_rate_data", None)
     training = {ours: data.pop(theirs) for theirs, ours in _TRAINING.items() if theirs in data}
@@ -43,7 +43,7 @@ def read_pickled(path: Any, custom_objects: dict[str, Any]) -> SavedModel:
 
 
 def _method_of(data: dict[str, Any], number: int | None) -> MethodData:
-    if data["owner"] == path_of(SignRateCallback):  # whose rule had another name for what μ moves by
+    if data["owner"] == path_of(SignRateCallback):  # its rule had another name for the change of μ
         data["parameters"]["change"] = data["parameters"].pop("step")
     make = METHODS[number].callback if number in METHODS else None
     is_by_number = make is not None and path_of(getattr(make, "func", make)) == data["owner"]

@@ -1,4 +1,4 @@
-"""To go on with a training exactly where a file has it."""
+"""Continue a training exactly where it was saved."""
 
 import warnings
 from math import inf
@@ -20,10 +20,10 @@ SelfResumable = TypeVar("SelfResumable", bound="Resumable")
 
 class Unfinished(NamedTuple):
     """
-    A training that the next call of ``learn`` goes on with.
+    A training that the next call of ``learn`` continues.
 
     :param training: the scalars of the training state
-    :param rollout: where its rollout was between two steps; ``None`` where it begins anew
+    :param rollout: the state of its rollout between two steps; ``None`` if a new episode begins
     """
 
     training: dict[str, Any]
@@ -31,9 +31,9 @@ class Unfinished(NamedTuple):
 
 
 class Resumable(SavedAsData):
-    """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: trainings that go on as if nothing had happened."""
+    """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: trainings that continue as if they had not been interrupted."""
 
-    #: What would make it another training
+    #: Arguments that must not change, because that would make it another training
     _not_changed: ClassVar[frozenset[str]] = frozenset(("method", "method_kwargs", "learning_rate", "seed"))
 
     num_timesteps: int
@@ -52,32 +52,35 @@ class Resumable(SavedAsData):
         **kwargs: Any,
     ) -> SelfResumable:
         """
-        Load a model to go on with the training that it was saved in, by :meth:`finish` or by
-        ``learn(model.remaining_timesteps, reset_num_timesteps=False)``. All that is learned from then on is, bit for bit, what
-        the training would have learned without an interruption.
+        Load a model to continue the training in which it was saved. Then call :meth:`finish`, or
+        ``learn(model.remaining_timesteps, reset_num_timesteps=False)``. The result is bit-identical to that of a training
+        without an interruption.
 
-        That takes environments whose state is in the file: gymnasium's toy-text and classic control, those with compiled
-        dynamics, and all with the methods ``get_state()`` and ``set_state(data)``, in a LeanVecEnv, a CompiledVecEnv or a
-        DummyVecEnv. With others training goes on from a new episode, after a warning. Callbacks begin anew: a best score or a
-        count of calls is theirs.
+        The state of the environments must be in the file. It is for gymnasium's toy-text and classic control, for environments
+        with compiled dynamics, and for all with the methods ``get_state()`` and ``set_state(data)``, in a LeanVecEnv, a
+        CompiledVecEnv or a DummyVecEnv. With other environments the training continues with a new episode, after a warning.
+        Callbacks start anew: their best scores and counts of calls are not in the file.
 
         :param path: the file, as in :meth:`load`
-        :param env: environments like those of the training, which are put where they were; or an id
+        :param env: environments like those of the training, or an id; they are put into the state that was saved
         :param device: as in the constructor
-        :param custom_objects: what to take in the place of attributes of the file, such as a schedule that was a lambda
+        :param custom_objects: values to use instead of those in the file, such as a schedule that was a lambda
         :param print_system_info: whether to print the system that the model was saved on, and this one
-        :param kwargs: attributes of the model that shall differ from the file, such as ``tensorboard_log``
+        :param kwargs: attributes of the model that differ from the file, such as ``tensorboard_log``
         :return: the model
         :raises ValueError: if the file is refused, as in :meth:`load`, the environments are others, or an argument would make
             it another training
         """
         changed = sorted(cls._not_changed & set(kwargs))
         if changed:
-            raise ValueError(f"A training is resumed as it was, without another `{changed[0]}`: use `load` to change that.")
+            raise ValueError(
+                f"`resume` continues the same training, so `{changed[0]}` must stay as it was: use `load` to change it."
+            )
         saved = cls._read(path, custom_objects, print_system_info)
         if saved.algorithm != cls.__name__:
             raise ValueError(
-                f"The file {saved.name} is of a {saved.algorithm}, not of a {cls.__name__}: resume it with that class."
+                f"The file {saved.name} holds a model of {saved.algorithm}, not of {cls.__name__}: call "
+                f"`{saved.algorithm}.resume`."
             )
         model = cls._build(saved, env, device, False, kwargs)
         model._go_back_to(saved)
@@ -91,30 +94,29 @@ class Resumable(SavedAsData):
                 check_environments(model.env, running["environments"])
                 rollout = check_rollout(running["rollout"], model.n_envs, *model.q_table.shape)
                 write_environments(model.env, running["environments"])
-            if (
-                rollout is not None and rollout.transitions
-            ):  # the actions were taken, and those after them are still to be drawn
+            if rollout is not None and rollout.transitions:
+                # These actions were taken already. The next ones are not drawn yet
                 model._next_actions = np.array([transition[1] for transition in rollout.transitions], dtype=np.int64)
         else:
             model._last_obs = model._next_actions = None
             if model.num_timesteps > 0:
                 self._seed_environments_anew()
         if running is not None and "reason" in running:
-            warnings.warn(f"Training goes on from a new episode, because {running['reason']}.", stacklevel=3)
+            warnings.warn(f"The training continues with a new episode, because {running['reason']}.", stacklevel=3)
         self._unfinished = None if rollout is None else Unfinished(saved.training, rollout)
 
     @property
     def remaining_timesteps(self) -> int:
-        """The environment steps that the training begun last has still to take; 0 where it is over."""
+        """The environment steps that the latest training still has to take; 0 if it is finished."""
         return max(self._total_timesteps - self.num_timesteps, 0)
 
     def finish(
         self: SelfResumable, callback: MaybeCallback = None, tb_log_name: str | None = None, progress_bar: bool = False
     ) -> SelfResumable:
         """
-        Go on to the end of the training that was begun last: after :meth:`resume`, an interrupt or an error.
+        Continue the latest training to its end, after :meth:`resume`, an interrupt or an error.
 
-        Progress, and all that depends on it, goes on where it was; ``log_interval`` is that of the training.
+        Progress, and all that depends on it, continues where it was. ``log_interval`` is that of the training.
 
         :param callback: as in ``learn``
         :param tb_log_name: as in ``learn``
@@ -129,11 +131,11 @@ class Resumable(SavedAsData):
         return self
 
     def _go_on(self, reset_num_timesteps: bool) -> None:
-        """At the beginning of ``learn``: let a training that goes on have the numbers that it had."""
+        """Restore the counts of a training that continues. ``learn`` calls this first."""
         model: Any = self
         if self._unfinished is not None and reset_num_timesteps:
             warnings.warn(
-                "A new training begins here, because of `reset_num_timesteps=True`: to go on with the one that was resumed, "
+                "A new training begins here, because of `reset_num_timesteps=True`: to continue the one that was resumed, "
                 "call `finish()`.",
                 stacklevel=4,
             )
@@ -145,7 +147,7 @@ class Resumable(SavedAsData):
 
     def _take_up(self, rollout: StepRollout) -> bool:
         """
-        :param rollout: the rollout of a training that goes on, or of a new one
+        :param rollout: the rollout of a training that continues, or of a new one
         :return: whether it has transitions that are still to be learned from
         """
         unfinished, self._unfinished = self._unfinished, None

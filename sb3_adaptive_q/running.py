@@ -1,4 +1,4 @@
-"""What a training is in the middle of when its model is saved, as plain data."""
+"""The state of a running training, as plain data, for a model that is saved in the middle of it."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from sb3_adaptive_q.rollouts.step_rollout import RolloutState
 def read_running(model: Any) -> dict[str, Any]:
     """
     :param model: a model in the middle of an episode, between two steps
-    :return: the actions that were chosen for the next step, where the rollout is, and where the environments are
+    :return: the actions that were chosen for the next step, the state of the rollout, and that of the environments
     :raises ValueError: if the environments have no state that can be read
     """
     rollout = None if model._rollout is None else model._rollout.state()
@@ -27,7 +27,7 @@ def read_running(model: Any) -> dict[str, Any]:
 def last_observations(model: Any) -> Any:
     """
     :param model: a model
-    :return: what its environments show now, one step on from ``_last_obs`` while a callback is called
+    :return: the current observations of its environments. While a callback is called, they are one step after ``_last_obs``
     """
     rollout = model._rollout
     return rollout.new_obs if rollout is not None and rollout.state().transitions else model._last_obs
@@ -40,7 +40,7 @@ def check_rollout(data: dict[str, Any] | None, n_envs: int, n_states: int, n_act
     :param n_states: rows of the table
     :param n_actions: columns of the table
     :return: the state of the rollout, if there is one
-    :raises ValueError: if it is none of such a training
+    :raises ValueError: if it does not fit such a training
     """
     if data is None:
         return None
@@ -67,7 +67,7 @@ def check_actions(actions: Any, n_envs: int, n_actions: int) -> np.ndarray | Non
     :param n_envs: the number of environments
     :param n_actions: columns of the table
     :return: the actions, of shape (n_envs,), if there are any
-    :raises ValueError: if they are none of such a training
+    :raises ValueError: if they do not fit such a training
     """
     if actions is None:
         return None

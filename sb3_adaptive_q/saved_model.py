@@ -1,4 +1,4 @@
-"""What a file of a model holds: written from a model, and read to build one."""
+"""The contents of a model file: collected from a model, and decoded to build one."""
 
 import inspect
 import warnings
@@ -15,7 +15,7 @@ from sb3_adaptive_q.saved_values import NotData, decode, decode_schedule, encode
 
 #: Attributes that may be functions
 _SCHEDULES = ("learning_rate", "lr_schedule", "exploration_schedule")
-#: What the names of the policy's arrays begin with, and those that an algorithm works with
+#: Prefixes of the names of arrays: those of the policy, and the working arrays of the algorithm
 _POLICY, _WORKING = "policy.", "working."
 
 
@@ -23,16 +23,16 @@ class SavedModel(NamedTuple):
     """
     The contents of a file.
 
-    :param name: what the file is called in messages
+    :param name: the name of the file in messages
     :param algorithm: the name of the model's class
     :param attributes: attributes of the model by name, the constructor's arguments among them
     :param method: the method in force
     :param training: the scalars of :class:`sb3_adaptive_q.training_state.TrainingState` by name
     :param buffers: the policy's arrays by name
-    :param working: the arrays that the algorithm works with, by name
+    :param working: the working arrays of the algorithm by name
     :param generator: the state of the generator that ``predict`` draws from
-    :param running: see :func:`sb3_adaptive_q.running.read_running`; a dict with the ``reason`` why there is no such thing;
-        ``None`` where no episode was running
+    :param running: see :func:`sb3_adaptive_q.running.read_running`; a dict with the ``reason`` if it could not be
+        read; ``None`` if no episode was running
     :param system_info: the system that wrote the file, as a text
     """
 
@@ -91,7 +91,7 @@ def _encode_attributes(model: Any, left_out: set[str], arrays: dict[str, np.ndar
 def _encode_running(model: Any, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
     try:
         return encode(read_running(model), arrays)
-    except Exception as error:  # an environment's own `get_state` may raise anything, and the table is still to be saved
+    except Exception as error:  # an environment's own `get_state` may raise anything, and the table must be saved even so
         return {"reason": str(error)}
 
 
@@ -99,12 +99,12 @@ def decode_model(archive: Archive, kind: Any, custom_objects: dict[str, Any]) ->
     """
     :param archive: the file
     :param kind: the class of the model that is to be built
-    :param custom_objects: what to take in the place of attributes that the file holds, by their names
+    :param custom_objects: values to use instead of those in the file, by the name of the attribute
     :return: the contents
-    :raises ValueError: if they are not what :func:`collect` gives. The message names the file
+    :raises ValueError: if they are not what :func:`collect` returns. The message names the file
     """
     data, arrays = archive.data, archive.arrays
-    with refusing(archive.name, "is no file of a model of this package"):
+    with refusing(archive.name, "is not a saved model of this package"):
         for name in data["attributes"]:
             _check_name(kind, name)
         attributes = {
@@ -135,11 +135,11 @@ def buffers_of(archive: Archive) -> dict[str, np.ndarray]:
 
 
 def _check_name(kind: Any, name: str) -> None:
-    """No entry of a file may take the place of a method, or of what is built anew."""
+    """Refuse an attribute that would replace a method, or something that the model builds anew."""
     known = inspect.getattr_static(kind, name, None)
     is_method = callable(known) or isinstance(known, staticmethod | classmethod)
     if is_method or inspect.isdatadescriptor(known) or name in kind.built_anew:
-        raise ValueError(f"it has the attribute {name!r}, which is not a model's to save")
+        raise ValueError(f"it has the attribute {name!r}, which a file must not set")
 
 
 def _decode_attribute(kind: Any, name: str, value: Any, arrays: dict[str, np.ndarray]) -> Any:
@@ -153,6 +153,6 @@ def _decode_attribute(kind: Any, name: str, value: Any, arrays: dict[str, np.nda
         return find_class(value, TabularQPolicy)
     except LookupError:
         raise ValueError(
-            f"its policy is of the class {value!r}, which is not imported here: import it before, or pass "
+            f"its policy is of the class {value!r}, which is not imported here: import it first, or pass "
             "`custom_objects={'policy_class': ...}`"
         ) from None

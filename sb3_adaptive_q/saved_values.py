@@ -1,7 +1,7 @@
 """
 Values as plain data, for saved files: numbers, texts, containers, arrays, spaces, schedules, and functions by their names.
 
-To read them executes nothing. A function or a class is looked up among what this process has imported, and never imported.
+Decoding executes nothing. Functions and classes are looked up in modules that are imported already; no module is imported.
 """
 
 import math
@@ -16,14 +16,14 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 
-#: The key that tells a value of some kind from a dict of the user's
+#: The key that tells an encoded value from a dict of the user
 KIND = ":kind:"
-#: Kinds of NumPy's numbers that arrays may hold: truth values, integers, floats
+#: Kinds of NumPy types that arrays may have: booleans, integers, floats
 ARRAY_KINDS = "biuf"
-#: Components of a space that a table of at most 2^63 rows can have, with room for those of a single value
+#: The largest number of components of a space. A table can have 2^63 rows, so 63 components of two or more values
 MOST_COMPONENTS = 10_000
 
-#: SB3's schedules, and RL Zoo's where it is imported: their arguments, by class
+#: The arguments of the schedules of SB3 and RL Zoo, by class
 _SCHEDULES = {
     "stable_baselines3.common.utils:ConstantSchedule": ("val",),
     "stable_baselines3.common.utils:LinearSchedule": ("start", "end", "end_fraction"),
@@ -48,7 +48,7 @@ class MissingFunction:
     def __call__(self, progress: float) -> float:
         """
         :param progress: unused
-        :return: 0, which nobody learns with: ``learn`` asks for the function first
+        :return: 0. It is never used to learn: ``learn`` raises an error while the function is missing
         """
         return 0.0
 
@@ -57,7 +57,7 @@ def encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     """
     :param value: a value
     :param arrays: arrays by name; those of the value are added to it
-    :return: the value as JSON holds it
+    :return: the value as JSON can hold it
     :raises NotData: if it is not plain data
     """
     if value is None or isinstance(value, bool | int | str):
@@ -106,7 +106,7 @@ def decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     :param value: what :func:`encode` returned
     :param arrays: the arrays by name
     :return: the value
-    :raises ValueError: if it is nothing that :func:`encode` returns; other errors of Python's where it only resembles that
+    :raises ValueError: if it is not what :func:`encode` returns. Similar values may also raise other errors
     """
     if isinstance(value, list):
         return [decode(item, arrays) for item in value]
@@ -178,19 +178,19 @@ def _decode_space(value: dict[str, Any], arrays: dict[str, np.ndarray]) -> space
 def _dtype(name: str) -> np.dtype[Any]:
     dtype = np.dtype(name)
     if dtype.kind not in ARRAY_KINDS:
-        raise ValueError(f"it has the type {name!r} where one of numbers is expected")
+        raise ValueError(f"it has the type {name!r}, but a type of numbers is expected")
     return dtype
 
 
 def _check_components(number: int) -> None:
     if not 0 < number <= MOST_COMPONENTS:
-        raise ValueError(f"it has a space of {number} components")
+        raise ValueError(f"it has a space of {number} components, but there may be 1 to {MOST_COMPONENTS}")
 
 
 def encode_schedule(schedule: Any) -> Any:
     """
     :param schedule: a number, a name, a schedule of SB3's, or a function
-    :return: the schedule as JSON holds it; a function by its name, whether it can be found by that or not
+    :return: the schedule as JSON can hold it; a function by its name, even if it cannot be found by that
     """
     if isinstance(schedule, FloatSchedule):
         return {KIND: "FloatSchedule", "schedule": encode_schedule(schedule.value_schedule)}
@@ -209,7 +209,7 @@ def decode_schedule(value: Any) -> Any:
     """
     :param value: what :func:`encode_schedule` returned
     :return: the schedule; a :class:`MissingFunction` for a function that is not imported
-    :raises ValueError: if it is nothing that :func:`encode_schedule` returns
+    :raises ValueError: if it is not what :func:`encode_schedule` returns
     """
     kind = value.get(KIND) if isinstance(value, dict) else None
     if kind == "FloatSchedule":
@@ -228,7 +228,7 @@ def decode_schedule(value: Any) -> Any:
 def path_of(item: Any) -> str:
     """
     :param item: a function or a class
-    :return: what it is found by: ``module:qualified name``
+    :return: its path, ``module:qualified name``
     """
     named = item if hasattr(item, "__qualname__") else type(item)
     return f"{named.__module__}:{named.__qualname__}"
@@ -236,10 +236,10 @@ def path_of(item: Any) -> str:
 
 def find_function(path: str) -> Callable[..., Any] | None:
     """
-    Look up a function of the user's. What comes with Python is none, so that no file can name its dangerous functions.
+    Look up a function of the user. Functions of Python's standard library are not found, because some are dangerous.
 
     :param path: the function, as :func:`path_of` gives it
-    :return: the function, if its module is imported
+    :return: the function; ``None`` if its module is not imported, or has no such function
     """
     if path.partition(".")[0].partition(":")[0] in sys.stdlib_module_names:
         return None
@@ -251,9 +251,9 @@ def find_function(path: str) -> Callable[..., Any] | None:
 def find_class(path: str, base: type) -> Any:
     """
     :param path: a class, as :func:`path_of` gives it
-    :param base: what it must be derived from
+    :param base: its base class
     :return: the class
-    :raises LookupError: if there is none of that name among what is imported
+    :raises LookupError: if no such class is imported
     """
     found = _find(path)
     if not (isinstance(found, type) and issubclass(found, base) and path_of(found) == path):
@@ -265,7 +265,7 @@ def _find(path: str) -> Any:
     module_name, _, name = path.partition(":")
     found: Any = sys.modules.get(module_name)
     for part in name.split("."):
-        # Not the attributes that a module or class would compute on demand
+        # Only what is in `__dict__`: no attribute that a module or a class computes on demand
         found = getattr(found, "__dict__", {}).get(part)
         found = found.__func__ if isinstance(found, staticmethod) else found
     return found

@@ -1,4 +1,4 @@
-"""Observations of finite spaces as rows of a table, and back."""
+"""The rows of a table for observations of finite spaces, and the observations for rows."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -11,11 +11,11 @@ from gymnasium import spaces
 
 class StateIndex(ABC):
     """
-    The rows that the observations of a space stand for. They are mixed-radix numbers: the first component of an observation
-    is the most significant digit.
+    Numbers the observations of a space: the number of an observation is its row in the table. It is a mixed-radix number, in
+    which the first component of the observation is the most significant digit.
 
-    An observation has the form that an environment gives it. Several have the form that a VecEnv gives them: an array with
-    one more axis in front and, where the space is a Tuple or a Dict, a tuple or a dict of such arrays.
+    One observation has the form that an environment returns. Several have the form that a VecEnv returns: an array with one
+    more axis in front or, if the space is a Tuple or a Dict, a tuple or a dict of such arrays.
 
     :param space: the space of the observations
     :param part: which part of a larger space this is, such as ``['deck'][0]``; empty for none
@@ -43,9 +43,9 @@ class StateIndex(ABC):
     @abstractmethod
     def of_vec(self, observations: Any) -> list[int]:
         """
-        The same as :meth:`of_batch`, as Python's numbers, and faster where there are few.
+        Find the rows as a list of Python integers. For few observations this is faster than :meth:`of_batch`.
 
-        :param observations: those that the step of a VecEnv gave
+        :param observations: observations as ``VecEnv.step`` returns them
         :return: their rows
         :raises ValueError: if one lies outside the space
         """
@@ -62,14 +62,14 @@ class StateIndex(ABC):
     def observation(self, index: int) -> Any:
         """
         :param index: a row
-        :return: the observation that it stands for
+        :return: its observation
         """
 
     @abstractmethod
     def observations(self, indices: np.ndarray) -> Any:
         """
         :param indices: rows, of shape (n,)
-        :return: the observations that they stand for, as a VecEnv gives them
+        :return: their observations, as a VecEnv gives them
         """
 
     @abstractmethod
@@ -89,7 +89,7 @@ class StateIndex(ABC):
             if self.is_single(observations[0]):
                 raise ValueError(
                     f"Expected an observation, but got a tuple of an observation and a dict, {observations!r}: this is what "
-                    "`env.reset()` of gymnasium returns, `observation, info`. Please hand over the first of them."
+                    "`env.reset()` of gymnasium returns, `observation, info`. Please pass the observation only."
                 )
         return self.of_batch(self.gather(observations))
 
@@ -102,7 +102,7 @@ class StateIndex(ABC):
 
     def refusal(self, observation: Any) -> ValueError:
         """
-        :param observation: what lies outside the space
+        :param observation: an observation outside the space
         :return: the error to raise
         """
         what = f"The part {self.part} of the observation, {observation}," if self.part else f"The observation {observation}"
@@ -117,12 +117,12 @@ class DiscreteIndex(StateIndex):
         self.n_states = int(space.n)
         self.start = int(space.start)
         self.sizes, self.starts = (self.n_states,), (self.start,)
-        # To ask a range takes half the time of two comparisons
+        # A look-up in a range takes half the time of two comparisons
         self._numbers = range(self.start, self.start + self.n_states)
 
     def of(self, observation: Any) -> int:
         number = observation
-        if type(number) is not int:  # a range would compare any other with its numbers one by one
+        if type(number) is not int:  # a range compares other types with its numbers one by one
             number = np.asarray(observation).tolist()
             if not isinstance(number, int | float) or number != number // 1:
                 raise self.refusal(observation)
@@ -255,7 +255,7 @@ class CompositeIndex(StateIndex):
         digits = [index.of_batch(observations[key]) for key, index in self.parts]
         lengths = [len(of_part) for of_part in digits]
         if len(set(lengths)) > 1:
-            raise ValueError(f"The parts of several observations must be equally many, but got {lengths} of {self.space}.")
+            raise ValueError(f"Every part of {self.space} must have as many observations as the others, but got {lengths}.")
         rows = np.zeros_like(digits[0])
         for (_, index), of_part in zip(self.parts, digits, strict=True):
             rows = rows * index.n_states + of_part
@@ -268,7 +268,7 @@ class CompositeIndex(StateIndex):
         return self._split(np.asarray(indices), lambda part, digits: part.observations(digits))
 
     def _split(self, rest: Any, observe: Any) -> Any:
-        """The parts of the observations of rows, the last of them first."""
+        """Split rows into observations of the parts. The last part is the least significant digit, so it comes first."""
         found = {}
         for key, index in reversed(self.parts):
             rest, digit = divmod(rest, index.n_states)
@@ -355,6 +355,6 @@ def _whole_numbers(values: np.ndarray) -> tuple[np.ndarray, Any]:
         return values.astype(np.int64), True
     if values.dtype.kind != "f":
         return np.zeros(values.shape, dtype=np.int64), np.zeros(values.shape, dtype=bool)
-    with np.errstate(invalid="ignore"):  # a NaN becomes a number, from which it differs
+    with np.errstate(invalid="ignore"):  # a NaN becomes some integer, which differs from it
         digits = values.astype(np.int64)
     return digits, digits == values

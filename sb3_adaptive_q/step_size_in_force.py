@@ -1,4 +1,4 @@
-"""The part of a tabular algorithm that knows which step size and which exploration rate are in force."""
+"""The part of a tabular algorithm that sets its step size and its exploration rate."""
 
 import warnings
 from typing import Any
@@ -16,7 +16,7 @@ from sb3_adaptive_q.rollouts.functions import Choices, make_explore
 from sb3_adaptive_q.step_sizes.cells import keep_mu, scalar_size, scope_shape
 from sb3_adaptive_q.training_state import TrainingState, number_of_state
 
-#: The bounds of a step size that has no memory: none, as a scalar is checked where it is formed
+#: The bounds of a step size without a method: none, because a scalar is checked where it is computed
 _NO_BOUNDS = (float("-inf"), float("inf"))
 
 
@@ -41,9 +41,9 @@ class StepSizeInForce:
     @property
     def mu(self) -> float:
         """
-        The step size of the next update, from 0 to 1; with a method that has one for each entry, the one used last. It may be
-        set, by a callback of your own too: a method computes on from what was set. Without a method it holds until ``learn``
-        ends. Where there is one for each entry, to set it is an error.
+        The step size of the next update, from 0 to 1. You may assign to it, also in a callback: a method continues from the
+        new value; without a method, the value stays until ``learn`` ends. If the method has a step size for each entry, this
+        is the one used last, and an assignment raises a ValueError.
         """
         return self._mu
 
@@ -62,8 +62,8 @@ class StepSizeInForce:
     @property
     def exploration_rate(self) -> float:
         """
-        The exploration rate ε in force; with Boltzmann exploration, the temperature. A callback may set it: then it holds
-        until ``learn`` ends.
+        The exploration rate ε in force; with Boltzmann exploration, the temperature. A callback may assign to it; the value
+        then stays until ``learn`` ends.
         """
         return self._exploration_rate
 
@@ -75,18 +75,19 @@ class StepSizeInForce:
     @property
     def memory(self) -> dict[str, np.ndarray]:
         """
-        The live arrays of the step size by name, ``"visits"`` for its counts: of shape (n_states, n_actions), (n_states, 1) or
-        (1, 1) after its scope, with a leading axis of tables where the algorithm has several.
+        The live arrays of the step size by name; ``"visits"`` are its counts. With the scope ``"pair"`` they have the
+        shape (n_states, n_actions), with ``"state"`` (n_states, 1), and with ``"shared"`` (1, 1). If the algorithm has
+        several tables, these are the leading axis.
         """
         arrays = {name: getattr(self.policy, MEMORY + name).numpy() for name in self.policy.memory_names()}
         return {name: array[0] if self.n_tables == 1 else array for name, array in arrays.items()}  # type: ignore[attr-defined]
 
     def install_method(self, method: InstalledMethod, restart: bool) -> None:
         """
-        Put a method in force; called by its callback when training starts.
+        Make a method the one in force. Its callback calls this when training starts.
 
         :param method: the method
-        :param restart: whether μ and the memory start anew even where the same method is in force already
+        :param restart: whether μ and the memory start anew even if the same method is in force already
         :raises ValueError: if the method resets μ with every episode and there are several environments
         """
         in_force = self._missing_method if self._method is None else self._method.data
@@ -112,7 +113,7 @@ class StepSizeInForce:
         record["mu_0"] = method.start() if method is not None else 0.0
 
     def _declare_memory(self, method: InstalledMethod) -> None:
-        """Give the step size its arrays, all anew."""
+        """Make new arrays for the step size."""
         policy: TabularQPolicy = self.policy
         shape = (self.n_tables, *scope_shape(method.data.scope, policy.n_states, policy.n_actions))  # type: ignore[attr-defined]
         policy.forget_memory()
@@ -128,7 +129,7 @@ class StepSizeInForce:
         return arrays, method.arguments, tuple(map(float, method.data.bounds))
 
     def _choose_functions(self) -> None:
-        """Put together what a learning loop is made of, as the model's attributes have it now."""
+        """Choose the functions of the learning loop by the model's current attributes."""
         self._schedule_parameters: tuple[float, ...] = ()
         size, rule = scalar_size, keep_mu
         if self._method is not None:
@@ -158,16 +159,16 @@ class StepSizeInForce:
         return scheduled
 
     def _start_step_size(self, restart: bool) -> None:
-        """Before any callback is called, so that one may set another μ when training starts."""
+        """Set the first μ of a training. This comes before the callbacks, so that one may set another μ."""
         record = self.training.record
         record["holds_mu"] = record["holds_epsilon"] = 0
-        if self.learning_rate is not self._known_learning_rate:  # set since the last time, as SB3's users do
+        if self.learning_rate is not self._known_learning_rate:  # the user has assigned a new one since the last training
             self._setup_lr_schedule()  # type: ignore[attr-defined]
             self._known_learning_rate = self.learning_rate
             if self._method is not None:
                 warnings.warn(
                     f"`learning_rate` is ignored, because the method {self._method.data.label} is in force: set `method` or "
-                    "hand `learn` another method.",
+                    "pass another method to `learn`.",
                     stacklevel=4,
                 )
         record["progress"] = progress = self._progress_made()
@@ -201,7 +202,7 @@ class StepSizeInForce:
 
     def own_functions(self) -> str:
         """
-        :return: the method or schedule whose functions a learning loop is made of, for messages
+        :return: the method or schedule whose functions the learning loop calls, for messages
         """
         named = [] if isinstance(self.exploration_schedule, str) else ["`exploration_schedule`"]  # type: ignore[attr-defined]
         if self._method is not None:
@@ -211,14 +212,14 @@ class StepSizeInForce:
         return " or ".join(named) or f"The update of {type(self).__name__}"
 
     def _install_own_method(self) -> None:
-        """The method of the constructor's arguments, where there is one."""
-        self._missing_method = None  # of a file, whose class is not imported
+        """Install the method of the constructor's arguments, if there is one."""
+        self._missing_method = None  # a file may name a method whose class is not imported
         self._use_method(None)
         if self.method is not None:
             self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
 
     def _exploration_checks(self) -> dict[str, Check]:
-        """What the exploration rates have to be, which depends on the other arguments."""
+        """The checks of the exploration rates, which depend on the other arguments."""
         rate = self._rate_check()
         schedule = self.exploration_schedule  # type: ignore[attr-defined]
         if isinstance(schedule, str) and schedule == "exponential" and rate is RATE:
@@ -231,5 +232,5 @@ class StepSizeInForce:
 
 def _linear_schedule(mu, step, start, end, end_fraction):  # type: ignore[no-untyped-def]
     """SB3's LinearSchedule."""
-    done = 1.0 - (1.0 - step.progress)  # rounded as where SB3 hands over the remaining progress
+    done = 1.0 - (1.0 - step.progress)  # rounded as in SB3, which passes the remaining progress
     return end if done > end_fraction else start + done * (end - start) / end_fraction

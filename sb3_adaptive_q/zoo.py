@@ -1,4 +1,4 @@
-"""Training with RL Zoo: the tabular algorithms among its own, and its programs with our defaults."""
+"""RL Zoo with the tabular algorithms: they are registered there, and its programs run with our defaults."""
 
 import argparse
 import json
@@ -34,19 +34,19 @@ from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 from sb3_adaptive_q.zoo_runs import FOLDER, plot_training, with_latest_model
 
 ALGORITHM = "tabular_q"
-#: The hyperparameters used where ``-conf`` names no others
+#: The file of hyperparameters, unless ``-conf`` names another one
 CONFIG = Path(__file__).parent / "hyperparams" / "tabular.yml"
 VEC_ENVS = {"dummy": LeanVecEnv, "compiled": CompiledVecEnv, "subproc": SubprocVecEnv}
-#: What both of RL Zoo's programs are told first; what the user says comes later and so prevails
+#: The first arguments of RL Zoo's programs. Those of the user follow and override them
 DEFAULTS = ["--algo", ALGORITHM, "--env", "FrozenLake-v1"]
-#: Of the greedy evaluation after the training. A hundred episodes would leave a standard error of 0.05 on FrozenLake
+#: The greedy evaluation after the training. With a hundred episodes the standard error would be 0.05 on FrozenLake
 N_EVALUATION_EPISODES = 500
 N_EVALUATION_ENVS = 10
-#: Steps of an episode of an evaluation where the environment has no limit. A greedy policy may walk against a wall for ever
+#: The limit of steps in evaluations, if the environment has none. A greedy policy may walk against a wall for ever
 EVALUATION_LIMIT = 1000
-#: What a mistake in an argument of the command line raises that RL Zoo evaluates as Python
+#: Errors of a mistake in an argument that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
-#: What a mistake on the command line or in the YAML file raises while an experiment is set up
+#: Errors of a mistake on the command line or in the YAML file, while an experiment is set up
 MISTAKES = (*NOT_PYTHON, AssertionError, AttributeError, ImportError, OSError, TypeError, ValueError, yaml.YAMLError)
 
 
@@ -60,12 +60,12 @@ def register() -> None:
 
 def merge_method(hyperparams: dict[str, Any] | None, method: int | str | None) -> dict[str, Any]:
     """
-    Let what the command line says of the learning rate replace all that the YAML file says of it.
+    Let the method or learning rate of the command line replace those of the YAML file, with all their parameters.
 
     :param hyperparams: the value of ``-params``
     :param method: the value of ``--method``
-    :return: what is to be put over the YAML file's entry
-    :raises ValueError: if the two say different things
+    :return: the hyperparameters that override the YAML file's entry
+    :raises ValueError: if both set the learning rate
     """
     merged = dict(hyperparams or {})
     rivals = sorted({"method", "learning_rate"} & set(merged))
@@ -111,20 +111,20 @@ class TabularExperiment(ExperimentManager):
         return results
 
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
-        """What ``-i`` asks for: the training of the file goes on, unless it is over, or the command line asks for another."""
+        """Load the model of ``-i``, and resume its training if it is unfinished and the command line changes nothing."""
         if self.algo in ALGORITHMS and not self.custom_hyperparams:
             model = ALGORITHMS[self.algo].resume(
                 self.trained_agent, env, tensorboard_log=self.tensorboard_log, verbose=self.verbose
             )
             if model.remaining_timesteps > 0:
-                print(f"Going on with the training of {self.trained_agent}, which has {model.remaining_timesteps} steps left")
+                print(f"Continuing the training of {self.trained_agent}: {model.remaining_timesteps} steps are left")
                 self.resumed = True
                 return model
         return super()._load_pretrained_agent(hyperparams, env)
 
     def learn(self, model: BaseAlgorithm) -> None:
         """
-        Train, or go on with the training that was resumed, to its end or until it is interrupted.
+        Train, or continue the training that was resumed, to its end or until it is interrupted.
 
         :param model: the model
         """
@@ -134,7 +134,7 @@ class TabularExperiment(ExperimentManager):
         try:
             model.finish(self.callbacks)  # type: ignore[attr-defined]  # of a tabular algorithm
         except KeyboardInterrupt:
-            pass  # what was learned is saved, as in RL Zoo
+            pass  # the model is saved all the same, as in RL Zoo
         finally:
             for callback in self.callbacks[:1]:  # a progress bar, which is to be closed
                 callback.on_training_end()
@@ -148,7 +148,7 @@ class TabularExperiment(ExperimentManager):
 
         :param n_envs: how many
         :param eval_env: whether they are for an evaluation
-        :param no_log: whether to leave the Monitor's file out
+        :param no_log: whether to write no Monitor file
         :return: the environments
         """
         if eval_env and self._eval_env_kwargs_args is None:
@@ -163,7 +163,7 @@ class TabularExperiment(ExperimentManager):
 
     def save_trained_model(self, model: BaseAlgorithm) -> None:
         """
-        Save the model, and print what came of the training.
+        Save the model, and print a summary of the training.
 
         :param model: the trained model
         """
@@ -171,7 +171,7 @@ class TabularExperiment(ExperimentManager):
         recent = [info["r"] for info in model.ep_info_buffer or ()]
         greedy = self._greedy_rewards(model)
         for output in tensorboard_outputs(model):
-            # Under the tag of SB3's EvalCallback, whose evaluations are of few episodes
+            # The tag is that of SB3's EvalCallback, whose evaluations have few episodes
             output.write({"eval/mean_reward": fmean(greedy)}, {"eval/mean_reward": ()}, model.num_timesteps)
         rows = [
             (f"Training, last {len(recent)} episodes", describe(recent)),
@@ -205,7 +205,7 @@ class TabularExperiment(ExperimentManager):
 
     def _tensorboard_rows(self, model: BaseAlgorithm) -> list[tuple[str, str]]:
         if self.tensorboard_log is None:
-            return [("TensorBoard log", "none: ask for one with -tb FOLDER")]
+            return [("TensorBoard log", "none (-tb FOLDER writes one)")]
         return [
             ("TensorBoard log", str(model.logger.get_dir())),
             ("Open it with", f"{tensorboard_command()} --logdir {Path(self.tensorboard_log).parent}"),
@@ -224,7 +224,7 @@ def describe(rewards: list[float]) -> str:
 
 
 def tensorboard_command() -> str:
-    """:return: what starts TensorBoard, also where the virtual environment is not activated"""
+    """:return: the command that starts TensorBoard, also if the virtual environment is not activated"""
     beside = Path(sys.executable).with_name("tensorboard")
     if shutil.which("tensorboard") == str(beside) or not beside.exists():
         return "tensorboard"
@@ -258,10 +258,10 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """
     parser = argparse.ArgumentParser(
         usage="%(prog)s [train | enjoy | record-video | plot] [option ...]",
-        description="Train an agent with RL Zoo, and evaluate it. With `enjoy` as the first word, show a trained agent "
-        "instead; with `record-video`, record a video of it; with `plot`, draw how trainings went. The defaults are --algo "
-        f"tabular_q --env FrozenLake-v1 and the hyperparameters of {CONFIG}. The options of this package come first, those "
-        "of RL Zoo's training below.",
+        description="Train an agent with RL Zoo, evaluate it and save it. The first word may ask for something else: `enjoy` "
+        "shows a trained agent, `record-video` records a video of one, and `plot` draws the returns of trainings; each has "
+        "its own --help. The defaults are --algo tabular_q --env FrozenLake-v1 and the hyperparameters in "
+        f"{CONFIG}. The options of this package come first, those of RL Zoo's training below.",
         add_help=False,
         allow_abbrev=False,
     )
@@ -269,15 +269,16 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
         "--method",
         type=method_name,
         metavar="METHOD",
-        help="what sets the step size, with its default parameters and in place of what the YAML file says: 1 to 8 for the "
-        f"paper's methods, or {', '.join(STEP_SIZES)}",
+        help="the method that sets the step size: 1 to 8 for the paper's methods, or one of "
+        f"{', '.join(STEP_SIZES)}. It has its default parameters, and replaces the method or learning rate of the YAML "
+        "file. `python -m sb3_adaptive_q methods` prints their formulas",
     )
     parser.add_argument(
         "--vec-env",
         choices=VEC_ENVS,
         default="dummy",
-        help="dummy steps the environments one after the other (the default); compiled trains in machine code, in "
-        "environments that compile; subproc runs each environment in a process of its own",
+        help="dummy (the default) steps the environments one after the other; compiled trains in machine code, which is much "
+        "faster, in environments that compile; subproc runs each environment in a process of its own",
     )
     parser.add_argument(
         "-P",
@@ -362,7 +363,7 @@ PROGRAMS = {"train": train, "enjoy": enjoy, "record-video": record_video, "plot"
 
 def main(arguments: list[str] | None = None) -> None:
     """
-    Train or, with ``enjoy``, ``record-video`` or ``plot`` as the first argument, show a trained agent, or how it learned.
+    Train; or show a trained agent or its training, if the first argument is ``enjoy``, ``record-video`` or ``plot``.
 
     :param arguments: the command line; ``None`` for that of the process
     :raises SystemExit: if there is a mistake in it

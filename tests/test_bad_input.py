@@ -158,10 +158,10 @@ class TestNumbers:
 class TestMethods:
     @pytest.mark.parametrize("number", [0, 9, -1, 1.5, True, None, [7]], ids=repr)
     def test_there_are_eight(self, number):
-        with refused("methods 1 to 8", f"but got {number!r}"):
+        with refused("a number from 1 to 8", f"but got {number!r}"):
             method(number)
         if number is not None:
-            with refused("methods 1 to 8", f"but got {number!r}"):
+            with refused("a number from 1 to 8", f"but got {number!r}"):
                 lake(method=number)
 
     @pytest.mark.parametrize(

@@ -718,12 +718,12 @@ class TestOneEnvironment:
 
     @pytest.mark.parametrize("env", [Chain, lambda: Chain()])
     def test_what_makes_one(self, env):
-        with pytest.raises(ValueError, match="hand over what it returns when it is called"):
+        with pytest.raises(ValueError, match="call it and pass what it returns"):
             check_is_single_env(env)
 
     @pytest.mark.parametrize("env", [7, None, {}, [Chain()]])
     def test_none(self, env):
-        with pytest.raises(ValueError, match=r"Expected a gymnasium environment.*but got .*hand over one of these"):
+        with pytest.raises(ValueError, match=r"Expected a gymnasium environment.*but got .*pass one of these"):
             check_is_single_env(env)
 
 

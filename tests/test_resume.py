@@ -261,7 +261,7 @@ class TestFinish:
         "argument", [{"method": 3}, {"learning_rate": 0.5}, {"seed": 3}, {"method_kwargs": None}], ids=str
     )
     def test_another_training_is_not_resumed(self, checkpoint, argument):
-        with pytest.raises(ValueError, match=f"resumed as it was, without another `{next(iter(argument))}`: use `load`"):
+        with pytest.raises(ValueError, match=f"so `{next(iter(argument))}` must stay as it was: use `load`"):
             TabularQ.resume(checkpoint, LAKE, **argument)
 
     def test_what_does_not_change_it_may_be_changed(self, checkpoint, tmp_path):
@@ -359,7 +359,7 @@ class TestOtherEnvironments:
     )
     def test_others_go_on_from_a_new_episode(self, tmp_path, make, reason):
         self.learn(make(), tmp_path)
-        with pytest.warns(UserWarning, match=f"Training goes on from a new episode, because {reason}"):
+        with pytest.warns(UserWarning, match=f"The training continues with a new episode, because {reason}"):
             model = TabularQ.resume(tmp_path / "x_300_steps", make())
         assert model.remaining_timesteps == 200
         counter = int(model.training.record["counter"][0])
@@ -374,7 +374,7 @@ class TestOtherEnvironments:
         model = TabularQ("MlpPolicy", env, seed=0)
         model.learn(60, callback=CheckpointCallback(50, str(tmp_path), "x"))
         env.close()
-        with pytest.warns(UserWarning, match="does not let its environments be read: use LeanVecEnv without a wrapper"):
+        with pytest.warns(UserWarning, match="cannot be read: use LeanVecEnv without a wrapper"):
             TabularQ.resume(tmp_path / "x_50_steps", ReadableCounter()).finish()
 
     def test_new_episodes_are_other_ones_after_every_checkpoint(self, tmp_path):

@@ -593,7 +593,7 @@ class TestFunctionsThatAreGone:
         loaded = TabularQ.load(path, env=ScriptedEnv(SCRIPT))
         mu = loaded.mu
         loaded.predict(1)
-        with pytest.raises(ValueError, match=r"`learning_rate` was the function test_save_load:.*<lambda>.*set `model.learn"):
+        with pytest.raises(ValueError, match=r"the function test_.*<lambda> as its `learning_rate`.*set `model.learn"):
             loaded.learn(4)
         assert loaded.mu == mu and loaded.num_timesteps == 3
 
@@ -615,13 +615,13 @@ class TestFunctionsThatAreGone:
 
     def test_a_model_saved_again_still_asks(self, path):
         TabularQ.load(path).save(path)
-        with pytest.raises(ValueError, match=r"`learning_rate` was the function test_save_load:.*<lambda>"):
+        with pytest.raises(ValueError, match=r"the function test_save_load:.*<lambda> as its `learning_rate`"):
             TabularQ.load(path, env=ScriptedEnv(SCRIPT)).learn(4)
 
     def test_an_exploration_schedule_is_asked_for_too(self, tmp_path):
         TabularQ("MlpPolicy", LAKE, exploration_schedule=lambda progress: 1.0 - progress).save(tmp_path / "model")
         loaded = TabularQ.load(tmp_path / "model", env=LAKE)
-        with pytest.raises(ValueError, match=r"`exploration_schedule` was the function .*<lambda>"):
+        with pytest.raises(ValueError, match=r"the function .*<lambda> as its `exploration_schedule`"):
             loaded.learn(10)
         loaded.exploration_schedule = halve
         assert loaded.learn(10).exploration_rate == 0.5

@@ -188,7 +188,7 @@ class TestOutside:
                 rows_of(observations)
 
     def test_parts_of_different_lengths(self):
-        with pytest.raises(ValueError, match=r"must be equally many, but got \[2, 1, 2\]"):
+        with pytest.raises(ValueError, match=r"must have as many observations as the others, but got \[2, 1, 2\]"):
             make_state_index(CARDS).of_batch((np.array([1, 2]), np.array([1]), np.array([0, 0])))
 
 

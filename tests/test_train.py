@@ -149,7 +149,7 @@ def test_defaults_and_summary(run: Run, capsys: pytest.CaptureFixture[str], tmp_
 def test_summary_without_tensorboard(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     run("--log-interval", "-2")
     output = capsys.readouterr().out
-    assert printed(output, "TensorBoard log") == "none: ask for one with -tb FOLDER"
+    assert printed(output, "TensorBoard log") == "none (-tb FOLDER writes one)"
     assert "rollout/" not in output
 
 
@@ -331,7 +331,7 @@ def test_continue_from_a_checkpoint(vec_env: str, run: Run, capsys: pytest.Captu
     run("--vec-env", vec_env, "--save-freq", "700")
     capsys.readouterr()
     run("--vec-env", vec_env, "-i", str(run.path() / "rl_model_700_steps.zip"), "--seed", "7", "-n", "5")
-    assert "rl_model_700_steps.zip, which has 1300 steps left" in capsys.readouterr().out
+    assert "rl_model_700_steps.zip: 1300 steps are left" in capsys.readouterr().out
     whole, rest = run.model(), run.model(number=2)
     assert rest.q_table.tobytes() == whole.q_table.tobytes()
     assert rest.training.as_data() == whole.training.as_data()
@@ -371,7 +371,7 @@ USAGE = 2
     [
         (["--env", "FrozenLak-v1"], "FrozenLak-v1 not found .* FrozenLake-v1"),
         (["--env", "CartPole-v1", "-params", "env_wrapper:None"], r"wrappers\.DiscretizeObservation"),
-        (["-params", "method:9"], "There are methods 1 to 8, .* but got 9"),
+        (["-params", "method:9"], "A method is a number from 1 to 8 .* but got 9"),
         (["-params", "gamma:2"], "`gamma` must be a number from 0 to 1, but got 2"),
         (["-params", "gama:0.9"], "unexpected keyword argument 'gama'"),
         (["-params", "gamma:high"], "'high' is not defined .*are Python expressions"),
@@ -399,7 +399,7 @@ def test_yaml_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--method", "9"], "argument --method: There are methods 1 to 8"),
+        (["--method", "9"], "argument --method: A method is a number from 1 to 8"),
         (["--method", "one"], "argument --method: There is no step size 'one'"),
         (["--vec-env", "fast"], "argument --vec-env: invalid choice: 'fast'"),
         (["--no-such-option"], "unrecognized arguments: --no-such-option"),

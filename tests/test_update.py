@@ -73,7 +73,7 @@ class TestRules:
 
         with pytest.raises(ValueError, match="Forgetful must return a number in every case, but returns none"):
             TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Forgetful(mu_0=0.1))
-        with pytest.raises(ValueError, match=r"Forgetful must give step sizes .* zeros, where training starts, it gave None"):
+        with pytest.raises(ValueError, match=r"Forgetful must give step .* zeros, before the first update, it gave None"):
             Forgetful()
 
     def test_one_that_is_a_method(self):

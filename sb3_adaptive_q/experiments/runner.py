@@ -33,10 +33,10 @@ Run = Callable[[Cell, Mapping[str, str]], Outcome]
 @dataclass(frozen=True, kw_only=True)
 class Execution:
     """
-    How an experiment is carried out, which makes no difference to what it gives.
+    How an experiment is carried out. These options do not change its results.
 
     :param output: folder of the results; an interrupted experiment continues when it is started again with the same folder
-    :param workers: runs at the same time; default: one for each core
+    :param workers: number of runs at the same time; default: one for each core
     :param processes: use processes instead of threads, for environments or rules that are not compiled
     :param dask: address of the scheduler of a Dask cluster that runs everything, such as tcp://10.0.0.5:8786
     :param progress: show a progress bar with the time left

@@ -1,1 +1,1 @@
-"""How transitions are made and learned from."""
+"""The two training loops: one step at a time, and compiled."""

@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import (
     StopTrainingOnMaxEpisodes,
 )
 
-#: How far to look for the next multiple of a number of steps that is not a whole number
+#: How many steps to search for the next multiple of a frequency that is not a whole number
 _FURTHEST = 1000
 
 
@@ -22,7 +22,7 @@ def steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> 
     :param callback: the callback that ``learn`` calls at every step
     :param num_timesteps: environment steps taken
     :param n_envs: the number of environments, so the environment steps of one call
-    :return: after how many further steps one of SB3's own callbacks in it acts, at least 1
+    :return: the number of further steps after which one of SB3's own callbacks in it acts, at least 1; infinite if none does
     """
     if isinstance(callback, CallbackList):
         return min((steps_until_due(each, num_timesteps, n_envs) for each in callback.callbacks), default=inf)
@@ -38,7 +38,7 @@ def steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> 
 def episodes_until_due(callback: BaseCallback) -> float:
     """
     :param callback: the callback that ``learn`` calls at every step
-    :return: after how many further episodes one of SB3's own callbacks in it acts
+    :return: the number of further episodes after which one of SB3's own callbacks in it acts; infinite if none does
     """
     if isinstance(callback, CallbackList):
         return min((episodes_until_due(each) for each in callback.callbacks), default=inf)
@@ -49,7 +49,7 @@ def episodes_until_due(callback: BaseCallback) -> float:
 
 def skip_steps(callback: BaseCallback, n_steps: int, n_envs: int) -> None:
     """
-    Bring SB3's own callbacks to where they would be, had they been called at each of these steps without acting.
+    Advance the counts of SB3's own callbacks, as if each had been called at all these steps without acting.
 
     :param callback: the callback that ``learn`` calls at every step
     :param n_steps: steps of every environment
@@ -65,7 +65,7 @@ def skip_steps(callback: BaseCallback, n_steps: int, n_envs: int) -> None:
 
 
 def _steps_until_multiple(n_calls: int, frequency: Any) -> int:
-    """After how many further calls ``n_calls % frequency`` may be 0; the callback itself looks whether it is."""
+    """The number of further calls after which ``n_calls % frequency`` may be 0. The callback checks whether it is."""
     if frequency == 0:
         return 1  # the callback raises its own error at its first call, as it does elsewhere
     if frequency == int(frequency):

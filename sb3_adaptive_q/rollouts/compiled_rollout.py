@@ -1,4 +1,4 @@
-"""Transitions made on a compiled environment: many steps in one call of machine code."""
+"""Training on compiled environments: many steps in one call of machine code."""
 
 import threading
 import time
@@ -30,12 +30,12 @@ NO_LIMIT = 2**62
 
 class CompiledRollout(StepRollout):
     """
-    Steps the environments many times, learning in between, and leaves the last transition of each unlearned: a callback
-    finds the table as it would on the ordinary path, and :meth:`learn` is the same machine code without a step.
+    Steps the environments many times, and learns from all transitions but the last of each environment. So a callback finds
+    the same table as on the ordinary path. :meth:`learn` then learns from the last transitions, with the same machine code.
 
     :param model: the tabular algorithm that learns
     :param step_locals: the variables that callbacks see
-    :param callback: what is called after every rollout; SB3's own callbacks in it bound the rollouts
+    :param callback: what is called after every rollout. A rollout ends where one of SB3's own callbacks in it is due
     :raises ValueError: if the method, the exploration schedule or the dynamics do not compile
     """
 
@@ -43,7 +43,10 @@ class CompiledRollout(StepRollout):
 
     def __init__(self, model: Any, step_locals: dict[str, Any], callback: BaseCallback) -> None:
         if is_disabled():
-            raise ValueError("A CompiledVecEnv needs Numba's compiler: please unset NUMBA_DISABLE_JIT, or use LeanVecEnv.")
+            raise ValueError(
+                "A CompiledVecEnv needs Numba's compiler, which is disabled: please unset NUMBA_DISABLE_JIT, or use "
+                "LeanVecEnv."
+            )
         self.callback = callback
         self.compiled_envs = model.env.compile()
         self.dynamics = self.compiled_envs[0].dynamics
@@ -83,10 +86,10 @@ class CompiledRollout(StepRollout):
 
     def advance(self) -> None:
         """
-        Run a rollout. Callbacks then find what they would on the ordinary path after its last step, but for ``dones``:
-        whether an episode ended, for every step of the rollout, of shape (steps, n_envs).
+        Run a rollout. Callbacks then find the same variables as on the ordinary path after its last step, except ``dones``:
+        it has the shape (steps, n_envs), and says for every step of the rollout whether it ended an episode.
 
-        :raises ValueError: as on the ordinary path, or if the method or the dynamics leave their range
+        :raises ValueError: as on the ordinary path, or if the method or the dynamics give a value out of range
         """
         if self.model.choices is not self.choices:
             self.take_choices()
@@ -125,7 +128,7 @@ class CompiledRollout(StepRollout):
     def restore(self, state: RolloutState) -> None:
         self._read_environments()
         for i, each in enumerate(self.compiled_envs):
-            if each.layers.monitor is None:  # then no other knows these
+            if each.layers.monitor is None:  # then these are kept nowhere else
                 self.envs[i]["episode_return"] = state.returns[i]
                 if each.layers.limit is None:
                     self.envs[i]["length"] = state.lengths[i]
@@ -136,7 +139,7 @@ class CompiledRollout(StepRollout):
         self._restore_last_step(state)
 
     def _run(self, dones: np.ndarray, max_steps: int, max_episodes: int) -> int:
-        """Call the machine code, again and again, until the rollout is as long as it shall be."""
+        """Call the machine code repeatedly, until the rollout has its full length."""
         control = self.control
         control["pending"] = 0
         n_steps, self.n_ended = 0, 0
@@ -153,7 +156,7 @@ class CompiledRollout(StepRollout):
         return n_steps
 
     def _adapt(self, seconds: float) -> None:
-        """Let a call take about as long as it may."""
+        """Choose the steps of the next call so that it takes about as long as it may."""
         self.call_steps = max(int(self.call_steps * min(max(LONGEST_CALL / max(seconds, 1e-6), 0.25), 4.0)), 1)
 
     def _call(self, record: tuple[np.ndarray, np.ndarray], max_steps: int, max_episodes: int) -> None:
@@ -169,8 +172,8 @@ class CompiledRollout(StepRollout):
 
     def _call_in_thread(self, arguments: tuple[Any, ...]) -> None:
         """
-        To hand over a Generator, Numba runs Python code, which a signal must not break off: signals only reach the main
-        thread, which waits here.
+        Run the loop in another thread. To pass a Generator, Numba runs Python code that a signal must not interrupt, and
+        signals reach only the main thread, which waits here.
         """
         with ThreadPoolExecutor(1) as executor:
             future: Future[None] = executor.submit(self._loop, *arguments)
@@ -192,7 +195,8 @@ class CompiledRollout(StepRollout):
         if status == loops.STATE_OUT_OF_RANGE:
             raise ValueError(
                 f"`index` of {type(self.dynamics).__name__} must give rows 0 to {self.state_index.n_states - 1}, but at step "
-                f"{self.model.num_timesteps} it gave {int(env['next_state'])}, after a reset {int(env['start_state'])}."
+                f"{self.model.num_timesteps} it gave {int(env['next_state'])} for the next state and "
+                f"{int(env['start_state'])} for the one after a reset: please check it."
             )
         self.refuse(status, int(env["state"]), int(env["action"]))
 
@@ -208,7 +212,7 @@ class CompiledRollout(StepRollout):
         return int(max_steps), int(max_episodes)
 
     def _read_environments(self) -> None:
-        """Where the environments are: where the last rollout left them, unless a callback has moved one since."""
+        """Read the state of the environments that a callback has moved since the last rollout, and all their generators."""
         for i, each in enumerate(self.compiled_envs):
             if each.was_moved():
                 state = each.read_state(self.state_index.n_states)
@@ -227,20 +231,23 @@ class CompiledRollout(StepRollout):
             each.put(place, int(self.envs[i]["length"]), float(self.envs[i]["episode_return"]), n_steps)
 
     def _last_infos(self) -> list[dict[str, Any]]:
-        """What the environments would have said of the last transition."""
+        """The info dicts that the environments would have returned for the last transition."""
         infos: list[dict[str, Any]] = []
         for i, done in enumerate(self.dones):
             info: dict[str, Any] = {"TimeLimit.truncated": done and not bool(self.envs[i]["terminated"])}
             if done:
                 info["terminal_observation"] = self.state_index.observation(int(self.envs["next_state"][i]))
             infos.append(info)
-        # The last step's episodes are the last on the record
+        # The episodes that the last step ended are the last of the record
         for i, episode in self._episode_infos(self.n_ended - sum(self.dones), self.n_ended):
             infos[i]["episode"] = episode
         return infos
 
     def _hand_over_episodes(self) -> None:
-        """Write the Monitors' files; give the log what ended before the last step, whose own follow the callbacks."""
+        """
+        Write the Monitors' files, and add the episodes that ended before the last step to the log. Those that the last step
+        ended are added after the callbacks.
+        """
         model, episodes = self.model, self.episodes[: self.n_ended]
         earlier = self.n_ended - sum(self.dones)
         recent = self._episode_infos(max(earlier - model._stats_window_size, 0), earlier)
@@ -255,7 +262,7 @@ class CompiledRollout(StepRollout):
                 series.add(Episodes(*(column.copy() for column in columns)))
 
     def _episode_infos(self, start: int, stop: int) -> list[tuple[int, dict[str, Any]]]:
-        """Some of the rollout's episodes, with the number of the environment, as the Monitors would have them."""
+        """Episodes of the rollout, each with the number of its environment, as the Monitors would give them."""
         rows = self.episodes[start:stop]
         columns = (rows["env"], rows["episode_return"], rows["length"])
         times = [each.seconds for each in self.compiled_envs]
@@ -267,7 +274,7 @@ class CompiledRollout(StepRollout):
 
 
 def _round_as_monitor(returns: np.ndarray) -> np.ndarray:
-    """Six decimals by Python's own rounding, which NumPy's does not always equal; whole numbers need none."""
+    """Round to six decimals as Python does, because NumPy sometimes rounds otherwise. Whole numbers need no rounding."""
     rounded = returns.copy()
     for i in np.flatnonzero(returns != np.rint(returns)):
         rounded[i] = round(float(returns[i]), 6)

@@ -1,4 +1,4 @@
-"""Transitions made one step of the environments at a time."""
+"""Training on ordinary environments: one step at a time."""
 
 import warnings
 from collections.abc import Callable
@@ -13,19 +13,19 @@ from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, machine_code
 
-#: A transition of the types that machine code takes
+#: A transition with the types that machine code takes
 _EXAMPLE = (0, 0, 0.0, 0, False, False, 0)
 
 
 class RolloutState(NamedTuple):
     """
-    Where a rollout is between two steps.
+    The state of a rollout between two steps.
 
-    :param transitions: for each environment the transition that was not learned from yet, as a
-        :class:`sb3_adaptive_q.algorithms.td_update.Transition` has it; empty where all were
-    :param infos: for each of these, what the log wants to know of an episode that it ended
+    :param transitions: for each environment the transition that was not learned from yet, with the entries of a
+        :class:`sb3_adaptive_q.algorithms.td_update.Transition`; empty if there are none
+    :param infos: for each of these, what the log needs of the episode that it ended
     :param returns: for each environment, the rewards of the running episode
-    :param lengths: for each environment, the steps of the running episode
+    :param lengths: for each environment, the number of steps of the running episode
     """
 
     transitions: list[tuple[int, int, float, int, bool, bool, int]]
@@ -36,12 +36,12 @@ class RolloutState(NamedTuple):
 
 class StepRollout:
     """
-    Steps the environments once, and learns from the n transitions in their order, each with the table and the μ that
-    the one before it left.
+    Steps each environment once, and then learns from the n transitions in order. Each update starts from the table and the μ
+    that the update before it has left.
 
     :param model: the tabular algorithm that learns
-    :param step_locals: the variables that callbacks see; those of a step are put in. One dictionary, because ``locals()``,
-        which SB3 hands over at every step, would gather all the others again
+    :param step_locals: the variables that callbacks see, to which every step adds its own. It is one dictionary for all steps,
+        because a call of ``locals()`` at every step, as in SB3, would collect all variables again
     """
 
     def __init__(self, model: Any, step_locals: dict[str, Any]) -> None:
@@ -61,7 +61,7 @@ class StepRollout:
         if model._next_actions is None:
             model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
         self._action_array = model._next_actions
-        # Its entries are Python's integers, which machine code takes faster than NumPy's
+        # A memoryview gives Python's integers, which machine code takes faster than NumPy's
         self.actions: Any = memoryview(model._next_actions)
 
     def take_choices(self) -> None:
@@ -86,7 +86,7 @@ class StepRollout:
             self.model._method.check_functions()
 
     def _in_python(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The update as Python runs it. What a rule raises leaves the table as it was, as far as one entry is changed."""
+        """The update as a Python function. An error restores the entry of the table, if the algorithm changes only one."""
         self.learner = self.learner.view(np.recarray)  # whose fields Python reads by their names, as machine code does
         run, table = as_python(function), self.tables[0]
 
@@ -105,7 +105,7 @@ class StepRollout:
     def advance(self) -> None:
         """
         Take the chosen actions. Callbacks then find ``actions``, ``new_obs``, ``rewards``, ``dones`` and ``infos`` among
-        the variables, as ``VecEnv.step`` has them.
+        the variables, as with ``VecEnv.step``.
 
         :raises ValueError: if a reward is not a finite number; the table stays as it was
         """
@@ -139,7 +139,7 @@ class StepRollout:
         self.model._last_obs = self.new_obs
 
     def abandon(self) -> None:
-        """Leave the last transitions unlearned, as SB3 does when a callback ends the training; their episodes count."""
+        """Drop the last transitions, as SB3 does when a callback ends the training. Their episodes are counted."""
         self.note_episodes()
         self.model._episode_num += sum(self.dones)
         self.model._next_actions = None
@@ -148,7 +148,7 @@ class StepRollout:
 
     def state(self) -> RolloutState:
         """
-        :return: where the rollout is, to be saved with the model by a callback
+        :return: the state of the rollout, for a callback that saves the model
         """
         pending = [(self.states[i], self.actions[i], *rest) for i, rest in enumerate(self.transitions)]
         infos = self._infos_for_log() if pending else []
@@ -156,9 +156,9 @@ class StepRollout:
 
     def restore(self, state: RolloutState) -> None:
         """
-        Go on where another rollout was, whose transitions :meth:`learn` then learns from.
+        Continue another rollout. :meth:`learn` then learns from its transitions.
 
-        :param state: where it was
+        :param state: the state of the other rollout
         """
         self.episode_returns, self.episode_lengths = list(state.returns), list(state.lengths)
         self.transitions = [transition[2:] for transition in state.transitions]
@@ -176,7 +176,7 @@ class StepRollout:
     def show(
         self, actions: np.ndarray, new_obs: Any, rewards: np.ndarray, dones: np.ndarray, infos: list[dict[str, Any]]
     ) -> None:
-        """Put what a step gave among the variables that callbacks see."""
+        """Put the results of a step among the variables that callbacks see."""
         step_locals = self.step_locals
         step_locals["actions"], step_locals["new_obs"] = actions, new_obs
         step_locals["rewards"], step_locals["dones"], step_locals["infos"] = rewards, dones, infos
@@ -190,7 +190,7 @@ class StepRollout:
 
     def refuse(self, status: int, state: int, action: int) -> NoReturn:
         """
-        :param status: what was wrong with an update
+        :param status: the status of the update that was refused
         :param state: the state that it started from
         :param action: its action
         :raises ValueError: always; the table is as it was where the algorithm changes one entry
@@ -207,11 +207,11 @@ class StepRollout:
             model.q_table[state, action] = learner["value"]
         raise ValueError(
             f"{who} must give {what}, but at step {model.num_timesteps}, in state {state} for action "
-            f"{action + self.first_action}, it gave{given or ' another'}: please check it."
+            f"{action + self.first_action}, it gave{given or ' another value'}: please check it."
         )
 
     def _hand_over_episodes(self) -> None:
-        """Give the callbacks that keep episodes those that have just ended."""
+        """Pass the episodes that have just ended to the callbacks that record episodes."""
         model, rows = self.model, []
         for i, done in enumerate(self.dones):
             if done:
@@ -226,7 +226,7 @@ class StepRollout:
             series.add(episodes)
 
     def _finished(self, i: int) -> tuple[float, int]:
-        """Return and length of the episode that environment i has just ended: a Monitor's, if it kept one."""
+        """Return and length of the episode that environment i has just ended, from its Monitor if there is one."""
         episode = self.infos[i].get("episode")
         if isinstance(episode, dict) and {"r", "l", "t"} <= set(episode):
             return episode["r"], episode["l"]
@@ -255,7 +255,7 @@ class StepRollout:
         return int(as_python(behaviour.choose)(self.tables, self.states[i], self.model.exploration_rate, self.draws))
 
     def _note_masks(self, allowed: np.ndarray) -> None:
-        """Take over the masks of the states in which an action is chosen next."""
+        """Store the masks of the states in which an action is chosen next."""
         for i, (_, next_state, terminated, done, start_state) in enumerate(self.transitions):
             if not terminated:
                 note_mask(allowed, next_state, self.infos[i])
@@ -265,7 +265,7 @@ class StepRollout:
     def refuse_reward(self, i: int, reward: float) -> NoReturn:
         """
         :param i: the number of the environment
-        :param reward: what it gave
+        :param reward: the reward that it gave
         :raises ValueError: always
         """
         raise ValueError(

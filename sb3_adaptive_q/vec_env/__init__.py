@@ -1,4 +1,4 @@
-"""Vectorised environments that keep up with a table."""
+"""Vectorised environments for tabular algorithms: without deep copies, or compiled."""
 
 from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, as_float32, grid_index, register_dynamics

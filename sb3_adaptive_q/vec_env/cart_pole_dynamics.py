@@ -1,4 +1,4 @@
-"""gymnasium's Cart Pole and the paper's, compiled."""
+"""Compiled dynamics of gymnasium's Cart Pole and of the paper's."""
 
 import math
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, as_float32, grid_ind
 
 
 class _CartPoleDynamics(Dynamics):
-    """What both Cart Poles have in common: the start, and the cells."""
+    """The base class of both Cart Poles: the start of an episode, and the cells."""
 
     check = staticmethod(check_nothing)  # the grid covers every observation, the rewards are constants
     draws_from_words = True
@@ -23,7 +23,8 @@ class _CartPoleDynamics(Dynamics):
         super().__init__(env, grid)
         if grid is None:
             raise ValueError(
-                f"{type(env).__name__} compiles under `wrappers.DiscretizeObservation` or gymnasium's: please wrap it."
+                f"{type(env).__name__} compiles only inside `wrappers.DiscretizeObservation` or gymnasium's wrapper of "
+                "that name: please wrap it."
             )
 
     def write_state(self, state: Any) -> None:
@@ -32,7 +33,7 @@ class _CartPoleDynamics(Dynamics):
 
     @staticmethod
     def reset(parameters, generator):
-        """Uniform in ±0.05, drawn as ``Generator.uniform`` draws it."""
+        """Draw all four variables uniformly from ±0.05, as ``Generator.uniform`` does."""
         low, width = -0.05, 0.05 - -0.05
         return (
             low + width * random_float(generator),
@@ -43,14 +44,14 @@ class _CartPoleDynamics(Dynamics):
 
     @staticmethod
     def index(parameters, state):
-        """The cell of the float32 observation; the episode ends on the float64 state."""
+        """Give the cell of the float32 observation. The float64 state decides whether the episode ends."""
         x, x_dot, theta, theta_dot = state
         observation = (as_float32(x), as_float32(x_dot), as_float32(theta), as_float32(theta_dot))
         return grid_index(parameters.edges, parameters.counts, parameters.scales, observation)
 
 
 class CartPoleAttributes(NamedTuple):
-    """The attributes of gymnasium's class by their names there, and the grid."""
+    """The attributes of gymnasium's class, under the same names, and the grid."""
 
     gravity: float
     masspole: float
@@ -71,7 +72,7 @@ class CartPoleAttributes(NamedTuple):
 @register_dynamics(CartPoleEnv)
 class CartPoleDynamics(_CartPoleDynamics):
     """
-    gymnasium's CartPoleEnv with the Euler integrator, in its order of operations.
+    gymnasium's CartPoleEnv with the Euler integrator. The operations come in the same order as there.
 
     :param env: the environment
     :param grid: the edges of its observation
@@ -136,7 +137,7 @@ class FrictionParameters(NamedTuple):
 @register_dynamics(CartPoleFrictionEnv)
 class CartPoleFrictionDynamics(_CartPoleDynamics):
     """
-    The paper's Cart Pole (Eqs. 12-14), by the functions that the environment itself calls.
+    The paper's Cart Pole (Eqs. 12-14). It calls the same functions as the environment itself.
 
     :param env: the environment
     :param grid: the edges of its observation

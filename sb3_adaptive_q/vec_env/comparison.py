@@ -1,4 +1,4 @@
-"""A check that an environment steps as the functions do that are compiled in its place."""
+"""Check that an environment and the functions that are compiled in its place take the same steps."""
 
 import copy
 import hashlib
@@ -11,17 +11,18 @@ from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.vec_env.compiled_env import CompiledEnv
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, playable_states
 
-#: What has been compared in this process: it need not be compared again
+#: What was compared in this process already, and needs no second comparison
 _compared: set[tuple[Any, ...]] = set()
 
 
 def compare_with_environment(compiled: CompiledEnv, n_steps: int = 100, n_pairs: int = 2000) -> None:
     """
-    Step a copy of the environment beside the functions that stand for it, both uncompiled, from the same seed.
+    Step a copy of the environment and the functions that are compiled in its place from the same seed, and compare them.
+    Both run as Python.
 
     :param compiled: the environment
-    :param n_steps: how long to play
-    :param n_pairs: how many states and actions of a transition table to try
+    :param n_steps: the number of steps to compare
+    :param n_pairs: how many pairs of state and action of a transition table to compare
     :raises ValueError: if they differ
     """
     key = _key(compiled)
@@ -38,7 +39,7 @@ def compare_with_environment(compiled: CompiledEnv, n_steps: int = 100, n_pairs:
 
 
 def _key(compiled: CompiledEnv) -> tuple[Any, ...]:
-    """What decides how both sides step: classes, parameters and cells."""
+    """All that the steps of both sides depend on: classes, parameters and cells."""
     numbers = [np.asarray(value) for value in compiled.dynamics.parameters]
     digest = hashlib.sha256(b"".join(repr((each.dtype, each.shape)).encode() + each.tobytes() for each in numbers)).digest()
     discretizer = compiled.layers.discretizer
@@ -55,7 +56,7 @@ def _compare_pairs(both: "_SideBySide", dynamics: TabularDynamics, actions: np.r
 
 
 class _SideBySide:
-    """A copy of an environment, and the functions that stand for it, with generators of the same state."""
+    """A copy of an environment, and the functions that replace it. Their generators start in the same state."""
 
     def __init__(self, compiled: CompiledEnv) -> None:
         self.env: Any = _copy(compiled.unwrapped)
@@ -93,7 +94,7 @@ class _SideBySide:
         return bool(terminated)
 
     def _run(self, function: Any, *arguments: Any) -> Any:
-        with np.errstate(all="ignore"):  # as machine code does arithmetic
+        with np.errstate(all="ignore"):  # machine code does not warn either
             return function(self.dynamics.parameters, *arguments)
 
     def _theirs(self, observation: Any) -> dict[str, Any]:
@@ -108,8 +109,9 @@ class _SideBySide:
         for name, value in theirs.items():
             if value != ours[name] and not (name == "state" and _is_close(value, ours[name])):
                 raise ValueError(
-                    f"{type(self.env).__name__} does not step as {type(self.dynamics).__name__} does: after {event} its "
-                    f"{name} is {value}, which should be {ours[name]}. Use LeanVecEnv, which works with everything."
+                    f"{type(self.env).__name__} does not step as {type(self.dynamics).__name__} does: after {event} the "
+                    f"environment's {name} is {value}, but the dynamics give {ours[name]}. Correct the dynamics, or use "
+                    "LeanVecEnv, which works with everything."
                 )
 
 
@@ -118,12 +120,12 @@ def _as_it_is(observation: Any) -> Any:
 
 
 def _is_close(state: Any, other: Any) -> bool:
-    """Within what is promised where the platform's sine differs from the compiler's."""
+    """Whether two states agree to 1e-12, because the platform's sine may differ from the compiler's by that much."""
     return np.shape(state) == np.shape(other) and np.allclose(state, other, rtol=0.0, atol=1e-12)
 
 
 def _copy(env: Any) -> Any:
     try:
         return copy.deepcopy(env)
-    except TypeError:  # what has been rendered holds a window and a clock, of which there is no copy
+    except TypeError:  # a rendered environment holds a window and a clock, which cannot be copied
         return copy.copy(env)

@@ -27,7 +27,7 @@ class CompiledEnv:
         self.unwrapped: Any = env.unwrapped
         self.layers = _peel_completely(env)
         if self.unwrapped.render_mode == "human":
-            raise ValueError("render_mode='human' draws every step, which compiled code cannot: use LeanVecEnv to watch.")
+            raise ValueError("render_mode='human' draws every step, but compiled code cannot draw: use LeanVecEnv to watch.")
         limit, discretizer = self.layers.limit, self.layers.discretizer
         self.max_episode_steps = limit._max_episode_steps if limit else NO_LIMIT
         self.dynamics = _dynamics_of(self.unwrapped)(self.unwrapped, Grid.of(discretizer) if discretizer else None)
@@ -53,16 +53,16 @@ class CompiledEnv:
 
     @property
     def episode_return(self) -> float:
-        """Rewards summed since the last reset, where there is a Monitor to know them."""
+        """The sum of rewards since the last reset; 0 without a Monitor, which keeps them."""
         return float(sum(self.layers.monitor.rewards)) if self.layers.monitor else 0.0
 
     def put(self, state: Any, length: int, episode_return: float, n_steps: int) -> None:
         """
-        Put the environment and its wrappers where a rollout has ended.
+        Put the environment and its wrappers into the state in which a rollout ended.
 
         :param state: the state of the environment
         :param length: steps since the last reset
-        :param episode_return: rewards summed since then
+        :param episode_return: the sum of rewards since then
         :param n_steps: the steps of the rollout
         """
         self.dynamics.write_state(state)
@@ -70,7 +70,7 @@ class CompiledEnv:
             self.layers.limit._elapsed_steps = length
         monitor = self.layers.monitor
         if monitor is not None:
-            # A Monitor adds up and counts these at the episode's end; single rewards are not kept
+            # A Monitor sums and counts the rewards at the end of the episode, so single rewards need not be kept
             self._rewards.total, self._rewards.count = episode_return, length
             monitor.rewards = self._rewards
             monitor.total_steps += n_steps
@@ -79,8 +79,8 @@ class CompiledEnv:
     def read_state(self, n_states: int) -> Any:
         """
         :param n_states: the rows of the table
-        :return: where the environment is
-        :raises ValueError: if there is no such state: machine code must not look it up
+        :return: the state of the environment
+        :raises ValueError: if the state is not in the table: machine code would read outside of the table
         """
         state = self.dynamics.read_state()
         try:
@@ -96,8 +96,7 @@ class CompiledEnv:
 
     def was_moved(self) -> bool:
         """
-        :return: whether somebody else, a callback for instance, has stepped, reset or seeded the environment since
-            :meth:`put`
+        :return: whether other code, such as a callback, has stepped, reset or seeded the environment since :meth:`put`
         """
         if self._left is None:
             return True
@@ -110,21 +109,21 @@ class CompiledEnv:
 
     @property
     def seconds(self) -> float | None:
-        """The time of day of the Monitor, if there is one: seconds since it was made."""
+        """Seconds since the Monitor was made; ``None`` without a Monitor."""
         monitor = self.layers.monitor
         return None if monitor is None else round(time.time() - monitor.t_start, 6)
 
     @property
     def writes_file(self) -> bool:
-        """Whether there is a Monitor that keeps a file."""
+        """Whether there is a Monitor that writes a file."""
         return self.layers.monitor is not None and self.layers.monitor.results_writer is not None
 
     def write_monitor_rows(self, returns: np.ndarray, lengths: np.ndarray) -> None:
         """
         Write finished episodes to the Monitor's file.
 
-        :param returns: the episodes' sums of rewards
-        :param lengths: their steps
+        :param returns: the sum of rewards of each episode
+        :param lengths: the steps of each episode
         """
         assert self.layers.monitor is not None and self.layers.monitor.results_writer is not None
         seconds = self.seconds
@@ -141,8 +140,8 @@ def _dynamics_of(env: gym.Env) -> type[Dynamics]:
     patched = sorted({"step", "reset"} & set(vars(env)))
     if patched:
         raise ValueError(
-            f"CompiledVecEnv compiles what the class {type(env).__name__} does, but this environment has a `{patched[0]}` of "
-            "its own: use LeanVecEnv, which works with everything."
+            f"CompiledVecEnv compiles `step` and `reset` of the class {type(env).__name__}, but `{patched[0]}` of this "
+            "environment was replaced: use LeanVecEnv, which works with everything."
         )
     dynamics = find_dynamics(env)
     if dynamics is not None:
@@ -151,9 +150,9 @@ def _dynamics_of(env: gym.Env) -> type[Dynamics]:
         return TabularDynamics
     if has_table(env):
         raise ValueError(
-            f"{type(env).__name__} has a transition table `P`, but its `step` or `reset` may do more than the table says. If "
-            "they do not, say so: `register_dynamics(MyEnv)(TabularDynamics)`, or the class attribute `compile_by_table = "
-            "True`. Otherwise use LeanVecEnv, which works with everything."
+            f"{type(env).__name__} has a transition table `P`, but its `step` or `reset` may do more than draw from it. If "
+            "they do not, set the class attribute `compile_by_table = True`, or call "
+            "`register_dynamics(MyEnv)(TabularDynamics)`. Otherwise use LeanVecEnv, which works with everything."
         )
     raise ValueError(
         f"CompiledVecEnv cannot compile {type(env).__name__}: it compiles gymnasium's FrozenLake, Taxi and CliffWalking, "
@@ -167,13 +166,13 @@ def _peel_completely(env: gym.Env) -> Layers:
     if isinstance(layers.inner, gym.Wrapper):
         kind = type(layers.inner)
         raise ValueError(
-            f"CompiledVecEnv cannot compile the wrapper {kind.__qualname__} of {kind.__module__} at its place: it compiles a "
-            "Monitor, a DiscretizeObservation (this package's or gymnasium's) around or inside it, a TimeLimit inside them "
-            "and gymnasium's own checks innermost. Use LeanVecEnv, which works with everything."
+            f"CompiledVecEnv cannot compile the wrapper {kind.__qualname__} of {kind.__module__} in this place. It compiles, "
+            "from the outside to the inside: Monitor and DiscretizeObservation (this package's or gymnasium's) in either "
+            "order, TimeLimit, and gymnasium's own checks. Use LeanVecEnv, which works with everything."
         )
     if layers.monitor is not None and layers.monitor.info_keywords:
         raise ValueError(
-            f"Compiled environments make no infos, but the Monitor asks for {layers.monitor.info_keywords} of them: use "
-            "LeanVecEnv, which works with everything."
+            f"Compiled environments give no infos, but the Monitor records {layers.monitor.info_keywords} of them: leave out "
+            "`info_keywords`, or use LeanVecEnv, which works with everything."
         )
     return layers

@@ -13,15 +13,15 @@ class CompiledVecEnv(LeanVecEnv):
     """
     A VecEnv of gymnasium environments whose dynamics are compiled with Numba.
 
-    ``step`` is one ordinary transition of the environments themselves. :class:`sb3_adaptive_q.TabularQ` learns on it in
-    rollouts that never leave compiled code, and puts the environments where the rollout ended: with the same seed the
-    result is that of ordinary environments, bit for bit.
+    ``step`` makes one ordinary transition of each environment. An algorithm such as :class:`sb3_adaptive_q.TabularQ` trains
+    here in rollouts of compiled code, each of many steps, and then puts the environments into the state in which the rollout
+    ended. With the same seed the results are bit-identical to those of ordinary environments.
 
     It compiles gymnasium's FrozenLake, Taxi and CliffWalking, and ``CartPole-v1`` and ``CartPoleFriction-v0`` under
-    :class:`wrappers.DiscretizeObservation`. An environment of your own with a transition table ``P`` compiles where its class
-    says ``compile_by_table = True``; for others see :func:`sb3_adaptive_q.vec_env.register_dynamics`.
+    :class:`wrappers.DiscretizeObservation`. An environment of your own with a transition table ``P`` compiles if its class
+    has the attribute ``compile_by_table = True``; for others see :func:`sb3_adaptive_q.vec_env.register_dynamics`.
 
-    :param env_fns: functions that make the environments, each its own, all alike
+    :param env_fns: functions that each make a new environment; all environments must be alike
     :raises ValueError: if an environment or a wrapper around it does not compile, or the environments differ
     """
 
@@ -32,10 +32,11 @@ class CompiledVecEnv(LeanVecEnv):
 
     def compile(self) -> list[CompiledEnv]:
         """
-        Read the environments as they are now, and compare those that are new with the functions that stand for them.
+        Read the environments as they are now, and compare each new one with the functions that are compiled in its place.
 
-        :return: what a learning loop needs of each
-        :raises ValueError: if one does not compile, they differ, or one steps otherwise than its functions
+        :return: the compiled form of each environment
+        :raises ValueError: if an environment does not compile, differs from the others, or does not step as its
+            functions do
         """
         compiled = [CompiledEnv(env) for env in self.envs]
         for i, each in enumerate(compiled[1:], 1):

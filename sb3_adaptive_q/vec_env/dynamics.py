@@ -1,4 +1,4 @@
-"""What a compiled environment is: three plain functions, their parameters, and a way to and from the Python object."""
+"""The dynamics of a compiled environment: three plain functions, their parameters, and access to the Python object."""
 
 import inspect
 from collections.abc import Callable
@@ -21,29 +21,30 @@ class Dynamics:
     An environment's ``reset`` and ``step`` as plain functions. A subclass has three static functions in the part of Python
     that Numba compiles; a state is a whole number, or a tuple of up to eight floats:
 
-    - ``reset(parameters, generator) -> state``, or ``reset(parameters, state, generator) -> state`` where something outlasts
-      an episode; the state is the one in which it ended
+    - ``reset(parameters, generator) -> state``, or ``reset(parameters, state, generator) -> state`` if something lasts
+      longer than an episode; ``state`` is the one in which the last episode ended
     - ``step(parameters, state, action, generator) -> (state, reward, terminated)``; actions count from 0
     - ``index(parameters, state) -> row of the table``
 
-    ``generator`` is the environment's own ``np_random``. The functions have to draw from it what the environment draws,
-    in its order, and to compute in the environment's order of operations: then every path gives the same bits.
+    ``generator`` is the environment's own ``np_random``. The functions must draw the same numbers from it as the environment,
+    in the same order, and compute in the same order of operations. Both paths then give the same bits.
 
-    With ``draws_from_words = True``, ``generator`` is the state of that generator as four numbers, from which
-    :func:`sb3_adaptive_q.random_numbers.random_float` draws the same: the fastest way, where ``random`` is all that is drawn.
+    With ``draws_from_words = True``, ``generator`` is the state of that generator as four 64-bit numbers, and
+    :func:`sb3_adaptive_q.random_numbers.random_float` draws from it what ``np_random.random()`` would. This is the fastest
+    way, if the environment draws nothing else.
 
     :param env: the environment without its wrappers
     :param grid: the edges of the :class:`wrappers.DiscretizeObservation` around it, if there is one
-    :raises ValueError: if it is used in a way that these functions do not cover
+    :raises ValueError: if the environment has settings that these functions do not cover
     """
 
     reset: ClassVar[Callable[..., Any]]
     step: ClassVar[Callable[..., Any]]
     index: ClassVar[Callable[..., int]]
-    #: What is checked of every transition
+    #: The check of every transition
     check: ClassVar[Callable[..., int]] = staticmethod(check_transition)
     draws_from_words: ClassVar[bool] = False
-    #: What the functions need to know, as a named tuple of numbers and arrays
+    #: The constants that the functions need, as a named tuple of numbers and arrays
     parameters: Any
 
     def __init__(self, env: gym.Env, grid: "Grid | None") -> None:
@@ -90,8 +91,8 @@ class Dynamics:
 
     def loop_functions(self) -> tuple[Callable[..., Any], ...]:
         """
-        :return: what a learning loop is made of: reset, step, index, load and store of the state, the name of the parameters,
-            and the check of a transition
+        :return: the functions that a learning loop calls: reset, step, index, load and store of the state, the function that
+            names the parameters, and the check of a transition
         """
         load, store = place_functions(self.read_state())
         return self.reset_function(), self.step, self.index, load, store, _name_parameters(type(self.parameters)), self.check
@@ -129,7 +130,7 @@ def register_dynamics(env_class: type[gym.Env]) -> Callable[[DynamicsT], Dynamic
 def find_dynamics(env: gym.Env) -> "type[Dynamics] | None":
     """
     :param env: an environment without its wrappers
-    :return: the dynamics registered for exactly its class: a subclass may step differently
+    :return: the dynamics registered for exactly this class, because a subclass may step differently; ``None`` without any
     """
     return _registered.get(type(env))
 
@@ -145,7 +146,7 @@ class Grid(NamedTuple):
     """
     The cells of a :class:`wrappers.DiscretizeObservation`, for compiled code.
 
-    :param edges: of shape (dimensions, most edges), filled up with infinity
+    :param edges: of shape (dimensions, largest number of edges), padded with infinity
     :param counts: how many edges each dimension has
     :param scales: cells per unit of each dimension
     """
@@ -177,16 +178,16 @@ def grid_index(edges, counts, scales, observation):
     """
     The number of the cell that holds an observation, as :class:`wrappers.DiscretizeObservation` numbers it.
 
-    :param edges: of the grid
-    :param counts: of the grid
-    :param scales: of the grid
+    :param edges: as in :class:`Grid`
+    :param counts: as in :class:`Grid`
+    :param scales: as in :class:`Grid`
     :param observation: a tuple of floats, rounded to the observation's dtype
     :return: the number of the cell
     """
     index = 0
     for dimension in range(len(observation)):
         value, count = observation[dimension], counts[dimension]
-        # Evenly spaced edges give the cell up to rounding; the edges themselves decide
+        # Exact up to rounding if the edges are evenly spaced. The two loops then find the exact cell
         distance = (value - edges[dimension, 0]) * scales[dimension]
         cell = int(min(max(distance, 0.0), float(count)))
         while cell < count and edges[dimension, cell] <= value:
@@ -200,6 +201,6 @@ def grid_index(edges, counts, scales, observation):
 def as_float32(value):
     """
     :param value: a component of the state, float64
-    :return: what a float32 observation shows of it
+    :return: the value rounded to float32, as an observation has it
     """
     return np.float64(np.float32(value))

@@ -1,4 +1,4 @@
-"""The layers of wrappers around an environment, and a step that goes through them at once."""
+"""The wrappers around an environment, and a step through all of them in one call."""
 
 from collections.abc import Callable
 from math import inf
@@ -21,11 +21,11 @@ CHECKED_STEPS = 2
 
 class Layers(NamedTuple):
     """
-    The outermost wrappers of an environment, as far as they are of the kinds named here and in this order.
+    The wrappers of an environment from the outside, up to the first that is of another kind or in another order.
 
     :param monitor: SB3's Monitor
     :param discretizer: the discretisation of the observation, ours or gymnasium's, around the Monitor or inside it;
-        :func:`sb3_adaptive_q.wrappers.edges_of` tells its cells
+        :func:`sb3_adaptive_q.wrappers.edges_of` gives its edges
     :param limit: the time limit
     :param checked: the environment with gymnasium's own checks around it
     :param inner: what is inside all of these: the environment itself, or a wrapper of another kind
@@ -57,14 +57,14 @@ def peel(env: gym.Env) -> Layers:
 def is_patched(env: gym.Env) -> bool:
     """
     :param env: an environment or a wrapper
-    :return: whether functions of its own have been put in the place of its class's
+    :return: whether its ``step``, ``reset`` or ``observation`` was replaced on this object
     """
     return not {"step", "reset", "observation"}.isdisjoint(vars(env))
 
 
 def _is_exactly(env: gym.Env, kind: type) -> bool:
     """Whether it is a wrapper of that class: a subclass may step differently."""
-    if kind is TimeLimit:  # rl_zoo3 puts a class of its own in the place of gymnasium's, which ends the same steps
+    if kind is TimeLimit:  # rl_zoo3 replaces gymnasium's class by one that ends episodes at the same steps
         name = f"{type(env).__module__}.{type(env).__qualname__}"
         is_kind = name in ("gymnasium.wrappers.common.TimeLimit", "rl_zoo3.gym_patches.PatchedTimeLimit")
     elif kind is DiscretizeObservation:
@@ -76,19 +76,20 @@ def _is_exactly(env: gym.Env, kind: type) -> bool:
 
 def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
     """
-    What ``env.step`` does, in one call instead of one for each wrapper; they are left as they would be.
+    Make a function that does what ``env.step`` does, in one call instead of one for each wrapper. It leaves the wrappers in
+    the same state.
 
-    gymnasium's checks look at the first steps alone, so later steps pass them by. A Monitor is given the last step of an
-    episode to do its work there, and until then its rewards.
+    gymnasium's checks look at the first steps only, so later steps skip them. The Monitor's own ``step`` is called only where
+    an episode ends; until then its list of rewards and its count of steps are updated directly.
 
     :param env: the environment with its wrappers
-    :return: a function of the environment that is to be stepped and the action. It returns what ``env.step`` returns; or
-        ``None``, and steps nothing, if that is another environment by now: replaced, or with another wrapper inside it, or
-        with a function in the place of the ``step`` of a wrapper. Then another function is needed
+    :return: a function of the environment and the action, which returns what ``env.step`` returns. If the environment has
+        changed (replaced, another wrapper inside it, or the ``step`` of a wrapper replaced), the function steps nothing and
+        returns ``None``. Make a new function then
     """
     monitor, discretizer, limit, checked, inner = peel(env)
     outermost, around, checks_left = env, _attributes_around(inner, env), CHECKED_STEPS
-    # To ask a wrapper itself for an attribute takes several times as long, because it has a `__getattr__`
+    # Reading an attribute from the wrapper itself takes several times as long, because of its `__getattr__`
     of_limit = vars(limit) if limit else {"_elapsed_steps": 0, "_max_episode_steps": inf}
     of_monitor = vars(monitor) if monitor else {}
 
@@ -126,7 +127,7 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
 
 
 def _attributes_around(inner: gym.Env, env: Any) -> list[tuple[dict[str, Any], gym.Env]]:
-    """The attributes of each wrapper outside ``inner``, and what it is around."""
+    """The attributes of each wrapper outside ``inner``, and the environment that it wraps."""
     found = []
     while env is not inner:
         found.append((vars(env), env.env))
@@ -145,7 +146,7 @@ def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
 
 
 class _Outcome:
-    """Stands in for an environment that has made its step already."""
+    """Replaces an environment that has made its step already."""
 
     def __init__(self, outcome: Step) -> None:
         self.outcome = outcome

@@ -25,7 +25,7 @@ from sb3_adaptive_q.vec_env.protocol import (
 
 FINITE_SPACES = (spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
 
-#: Types of which every value can be put into an array of whole numbers as it is
+#: Types whose values fit into an array of whole numbers unchanged
 WHOLE = frozenset({int, np.int64, np.int32, np.int16, np.int8, np.uint32, np.uint16, np.uint8})
 
 
@@ -33,16 +33,15 @@ class LeanVecEnv(DummyVecEnv):
     """
     Steps environments one after the other, as SB3's DummyVecEnv does, and returns the same values.
 
-    DummyVecEnv copies its buffers and every info dict deeply, which takes half of a step in a small environment. Here the
-    arrays are copied flatly and the info dicts are the environments' own: they hold what DummyVecEnv's hold, unless an
-    environment goes on writing into a dict that it has handed out.
+    DummyVecEnv makes deep copies of its buffers and info dicts, which takes half the time of a step in a small environment.
+    LeanVecEnv copies only the arrays, and returns the environments' own info dicts. These have the same contents, unless an
+    environment changes a dict after it has returned it.
 
-    An environment that is replaced in ``envs``, or anywhere inside its wrappers, is stepped from then on, and so is a
-    function that is put in the place of a ``step``.
+    An environment in ``envs``, a wrapper inside it, or a ``step`` may be replaced at any time: the next step uses the new one.
 
-    :param env_fns: functions that make the environments, each its own
+    :param env_fns: functions that each make a new environment
     :raises ValueError: if two of them return the same environment; in ``step`` and ``reset``, if an environment returns
-        what it must not, such as a fraction where its observation space is Discrete
+        something invalid, such as a fraction where its observation space is Discrete
     """
 
     _prepared = ("_steps", "_only_array", "_parts", "_fitting_types", "_finite_shapes")
@@ -61,7 +60,7 @@ class LeanVecEnv(DummyVecEnv):
 
     def _prepare(self) -> None:
         self._steps = [layered_step(env) for env in self.envs]
-        #: The buffer of observations, where these are not a dict or a tuple of arrays
+        #: The buffer of observations; ``None`` if these are a dict or a tuple of arrays
         self._only_array: Any = self.buf_obs.get(None)  # type: ignore[call-overload]
         #: The names of the parts of an observation; ``None`` for an observation that has no parts
         self._parts = list[Any](self.keys)
@@ -69,7 +68,7 @@ class LeanVecEnv(DummyVecEnv):
         parts = {key: space if key is None else space[key] for key in self._parts}
         #: The shapes of the parts of an observation that are whole numbers
         self._finite_shapes = {key: part.shape for key, part in parts.items() if isinstance(part, FINITE_SPACES)}
-        #: Types of which every value can be put into the only array as it is
+        #: Types whose values fit into the only array unchanged
         self._fitting_types = frozenset[type]()
         if isinstance(space, spaces.Discrete):
             self._fitting_types = WHOLE
@@ -105,7 +104,7 @@ class LeanVecEnv(DummyVecEnv):
             else:
                 self._save_obs(i, observation)
             infos.append(info)
-        # Copied, so that a later step does not overwrite what this one has handed out
+        # Copied, so that a later step does not overwrite what this one returns
         new_obs = self._obs_from_buf() if observations is None else observations.copy()
         return new_obs, rewards.copy(), dones.copy(), infos
 
@@ -138,7 +137,7 @@ class LeanVecEnv(DummyVecEnv):
 
 
 def _reset(env: gym.Env, **arguments: Any) -> tuple[Any, dict[str, Any]]:
-    """What the environment's ``reset`` returns; an error that names it where that is something else."""
+    """Call ``reset``, and raise an error that names the environment if it does not return (observation, info)."""
     try:
         outcome: Any = env.reset(**arguments)
     except CONVERSION_ERRORS as error:

@@ -1,4 +1,4 @@
-"""What an environment has to be and to return, and messages that say what it is or returned instead."""
+"""Checks of environments and of what they return, with messages that say what was expected and what came."""
 
 from math import isfinite
 from types import TracebackType
@@ -10,14 +10,14 @@ from gymnasium import spaces
 
 from sb3_adaptive_q.state_index import make_state_index
 
-#: What may go wrong where a value of another kind is put into an array of numbers
+#: Errors of putting a value of another type into an array of numbers
 CONVERSION_ERRORS = (TypeError, ValueError, OverflowError)
 
 
 def check_is_single_env(env: Any) -> None:
     """
-    :param env: what was handed over as an environment
-    :raises ValueError: if it is one of several environments or several agents, or none at all
+    :param env: what was given as the environment
+    :raises ValueError: if it is a vectorised environment of gymnasium, has several agents, or is no environment
     """
     if isinstance(env, gym.vector.VectorEnv):
         raise ValueError(
@@ -33,15 +33,15 @@ def check_is_single_env(env: Any) -> None:
     if isinstance(env, type) or not (hasattr(env, "step") and hasattr(env, "reset")):
         made = isinstance(env, type) or callable(env)
         raise ValueError(
-            f"Expected a gymnasium environment, a VecEnv of SB3 or the id of an environment, but got {env!r}: please hand "
-            f"over {'what it returns when it is called' if made else 'one of these'}."
+            f"Expected a gymnasium environment, a VecEnv of SB3 or the id of an environment, but got {env!r}: please "
+            f"{'call it and pass what it returns' if made else 'pass one of these'}."
         )
 
 
 def raise_fault(fault: str | None, error: Exception) -> None:
     """
     :param fault: a message that names the culprit, if one was found
-    :param error: what was raised instead
+    :param error: the error that was raised
     :raises ValueError: if there is a message
     """
     if fault is not None:
@@ -87,7 +87,7 @@ def explain_reset(env: gym.Env, outcome: Any) -> str:
 
 def find_fault_of_observation(env: gym.Env, observation: Any) -> str | None:
     """
-    Find out what is wrong with the form of an observation; of a finite space, with fractions too.
+    Find out what is wrong with an observation: its form, and in a finite space also its values.
 
     :param env: the environment
     :param observation: an observation of it
@@ -133,8 +133,8 @@ def is_whole(values: Any, shape: tuple[int, ...]) -> bool:
 
 def find_fault_of_call(env: gym.Env, function: str, error: Exception) -> str | None:
     """
-    Find out whether an error says that a wrapper or a VecEnv could not read what an environment returned, or could not call
-    it: then only code of gymnasium, SB3 and this package took part, and none of the environment's own.
+    Find out whether a wrapper or a VecEnv could not call an environment, or could not read what it returned. The traceback
+    then has only functions of gymnasium, SB3 and this package, none of the environment itself.
 
     :param env: the environment
     :param function: the name of the method that was called, ``"step"`` or ``"reset"``
@@ -147,12 +147,12 @@ def find_fault_of_call(env: gym.Env, function: str, error: Exception) -> str | N
         results = "(observation, reward, terminated, truncated, info)" if function == "step" else "(observation, info)"
         return f"`{function}` of {_name(env)} must return {results}, but returned something else: {error}."
     if "unexpected keyword argument" in str(error):
-        return f"`{function}` of {_name(env)} must take the keyword arguments `seed` and `options`, but: {error}."
+        return f"`{function}` of {_name(env)} must take the keyword arguments `seed` and `options`, but does not: {error}."
     return None
 
 
 def _packages_of(traceback: TracebackType | None) -> set[str]:
-    """Those of the functions that an error has passed."""
+    """The packages of all functions in a traceback."""
     packages = set()
     while traceback is not None:
         packages.add(str(traceback.tb_frame.f_globals.get("__name__", "")).split(".")[0])

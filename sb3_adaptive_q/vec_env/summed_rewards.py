@@ -1,15 +1,15 @@
-"""The rewards of a running episode, for a Monitor that asks only for their sum and their number."""
+"""The rewards of a running episode, for a Monitor that needs only their sum and their number."""
 
 from collections.abc import Iterator
 
 
 class SummedRewards:
     """
-    Stands for the list in which a Monitor keeps the rewards of the running episode. It holds two numbers however long the
+    Replaces the list in which a Monitor keeps the rewards of the running episode. It holds two numbers, however long the
     episode is.
 
     :param total: the sum of the rewards so far
-    :param count: how many there were
+    :param count: the number of rewards so far
     """
 
     def __init__(self, total: float = 0.0, count: int = 0) -> None:
@@ -18,7 +18,7 @@ class SummedRewards:
 
     def append(self, reward: float) -> None:
         """
-        :param reward: of one more step
+        :param reward: the reward of one more step
         """
         self.total += reward
         self.count += 1

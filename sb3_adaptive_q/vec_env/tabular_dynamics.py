@@ -1,4 +1,4 @@
-"""Environments with a transition table ``P``, as gymnasium's toy-text environments have it."""
+"""Dynamics of environments with a transition table ``P``, such as gymnasium's toy-text environments."""
 
 from typing import Any, NamedTuple
 
@@ -13,21 +13,21 @@ from sb3_adaptive_q.compiled.loops import check_nothing
 from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid
 
-#: A VecEnv hands rewards on as float32
+#: A VecEnv returns rewards as float32
 LARGEST_REWARD = float(np.finfo(np.float32).max)
 
-#: An outcome of taking an action in a state; one record, because a large table costs a cache miss for each array
+#: An outcome of an action in a state. It is one record, because separate arrays would cost a cache miss each
 OUTCOME = np.dtype(
     [("cumulative", np.float64), ("reward", np.float64), ("next_state", np.int64), ("terminated", np.bool_)], align=True
 )
 
-#: gymnasium's environments that step by their tables, and do nothing else
+#: gymnasium's environments whose steps do nothing but draw from their tables
 _BY_TABLE = (FrozenLakeEnv, TaxiEnv, CliffWalkingEnv)
 
 #: The table read last for a class of environments, with what it was read from
 _tables: dict[type, tuple[Any, "TransitionTable"]] = {}
 
-#: Up to how many outcomes machine code is made for their number
+#: Up to this number of outcomes, machine code is specialised for the number
 MOST_UNROLLED = 8
 
 
@@ -36,11 +36,11 @@ class TransitionTable(NamedTuple):
     ``P`` and the initial distribution as arrays.
 
     :param initial: cumulative probabilities of the first state, of shape (n_states,)
-    :param outcomes: of shape (n_states, n_actions, most outcomes + 1), or without the 1 where no drawn number can pass
-        them. Where a row has fewer, it is filled up with its first outcome and an infinite cumulative probability:
-        gymnasium takes the first outcome where rounding leaves a drawn number above all of them
-    :param comparisons: one entry for each outcome but the last, as the compiler knows the length of a tuple; none where
-        there are many outcomes
+    :param outcomes: of shape (n_states, n_actions, n). A pair with fewer than n outcomes is padded with its first outcome and
+        an infinite cumulative probability, because gymnasium takes the first outcome if rounding leaves a drawn number above
+        all cumulative probabilities. n is the largest number of outcomes, plus 1 if such padding is needed there too
+    :param comparisons: one entry for each outcome but the last. Only the length matters, which the compiler knows of a tuple.
+        Empty if there are more than ``MOST_UNROLLED`` outcomes
     """
 
     initial: np.ndarray
@@ -68,8 +68,8 @@ class TabularDynamics(Dynamics):
     def read_state(self) -> int:
         if not hasattr(self.env, "s"):
             raise ValueError(
-                f"{type(self.env).__name__} has a transition table `P`, so its state must be in the attribute `s`, but there "
-                "is none after a reset: please name it so, or use LeanVecEnv, which works with everything."
+                f"{type(self.env).__name__} has a transition table `P`, so its state must be in the attribute `s`, but it "
+                "has none after a reset: please keep the state in `s`, or use LeanVecEnv, which works with everything."
             )
         return int(self.env.s)
 
@@ -84,7 +84,7 @@ class TabularDynamics(Dynamics):
 
     @staticmethod
     def step(parameters, state, action, generator):
-        """Draw an outcome. Counting without a branch is fastest for a handful of them."""
+        """Draw an outcome. Counting without a branch is fastest if there are few."""
         number = random_float(generator)
         outcome = 0
         for i in range(len(parameters.comparisons) or parameters.outcomes.shape[2] - 1):
@@ -94,7 +94,7 @@ class TabularDynamics(Dynamics):
 
     @staticmethod
     def index(parameters, state):
-        """States are rows."""
+        """The state is the row."""
         return state
 
 
@@ -109,7 +109,8 @@ def has_table(env: gym.Env) -> bool:
 def steps_by_table(env: gym.Env) -> bool:
     """
     :param env: an environment without its wrappers
-    :return: whether its class is known to step by its table alone, or says so
+    :return: whether its steps do nothing but draw from its table: gymnasium's own classes, and those with the attribute
+        ``compile_by_table = True``
     """
     kind = type(env)
     if getattr(kind, "compile_by_table", False):
@@ -122,7 +123,7 @@ def steps_by_table(env: gym.Env) -> bool:
 def read_table(env: Any) -> TransitionTable:
     """
     :param env: an environment with ``P`` and ``initial_state_distrib``
-    :return: both as arrays; those of the last call for its class, where nothing has changed
+    :return: both as arrays; the arrays of the last call for its class if nothing has changed
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
     contents = _contents(env)
@@ -136,7 +137,7 @@ def read_table(env: Any) -> TransitionTable:
 
 
 def _contents(env: Any) -> Any:
-    """What the table of an environment holds, safe from later changes; ``None`` where it is kept in another way."""
+    """A copy of the contents of an environment's table; ``None`` if ``P`` is not a dict of dicts."""
     try:
         rows = {state: {action: list(outcomes) for action, outcomes in row.items()} for state, row in env.P.items()}
     except (AttributeError, TypeError):
@@ -181,7 +182,7 @@ def _read_table(env: Any) -> TransitionTable:
 def playable_states(table: TransitionTable, most_rows: int = 10_000) -> np.ndarray:
     """
     :param table: the transitions
-    :param most_rows: of how many states of a large table to look at the outcomes
+    :param most_rows: the largest number of states to look at, in a large table
     :return: states in which an action may be taken: where an episode begins or goes on
     """
     n_states = len(table.outcomes)
@@ -198,8 +199,8 @@ def _count(env: Any, name: str) -> int:
     space = getattr(env, name)
     if not isinstance(space, spaces.Discrete) or (name == "observation_space" and space.start != 0):
         raise ValueError(
-            f"An environment with a transition table `P` compiles where its {name} is Discrete and states count from 0, but "
-            f"that of {type(env).__name__} is {space}: use LeanVecEnv, which works with everything."
+            f"An environment with a transition table `P` compiles only if its {name} is Discrete and its states count from 0, "
+            f"but the {name} of {type(env).__name__} is {space}: use LeanVecEnv, which works with everything."
         )
     return int(space.n)
 

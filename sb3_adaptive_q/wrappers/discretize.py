@@ -29,17 +29,18 @@ class DiscretizeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstru
     whatever the dtype of the observation.
 
     The edges are spaced evenly, ``np.linspace(low, high, n_edges)`` in each dimension, or given as they are by ``edges``.
-    Buckets are cells, one more than there are edges. Buckets (1, 1, 6, 12) for Cart Pole between -0.4 and 0.4, -0.9 and
-    0.9 are ``n_edges=[0, 0, 5, 11], low=[None, None, -0.4, -0.9], high=[None, None, 0.4, 0.9]`` where the outer buckets
-    lie beyond ``low`` and ``high``, and ``edges=[[], [], np.linspace(-0.4, 0.4, 7)[1:-1], np.linspace(-0.9, 0.9, 13)[1:-1]]``
-    where they lie within.
+
+    Publications often count buckets. A bucket is a cell, so there is one more than there are edges. Take Cart Pole with
+    buckets (1, 1, 6, 12), the last two between -0.4 and 0.4, and -0.9 and 0.9. If the outer buckets lie beyond these bounds,
+    pass ``n_edges=[0, 0, 5, 11], low=[None, None, -0.4, -0.9], high=[None, None, 0.4, 0.9]``. If they lie within them, pass
+    ``edges=[[], [], np.linspace(-0.4, 0.4, 7)[1:-1], np.linspace(-0.9, 0.9, 13)[1:-1]]``.
 
     The number of a cell is its mixed-radix index, the first dimension being the most significant digit:
     with 10 edges in each of four dimensions, cell (1, 3, 4, 4) has number 1742.
 
     :param env: environment with a Box observation space
-    :param n_edges: edges per dimension, ``low`` and ``high`` being the first and the last of them: at least 2, or 0 to leave
-        the dimension out. One number for all dimensions, or one per dimension; ``None`` for 10
+    :param n_edges: the number of edges, of which ``low`` is the first and ``high`` the last: at least 2, or 0 to leave the
+        dimension out. One number for all dimensions, or one per dimension; ``None`` for 10
     :param low: first edge, in the unit of the observation: one number for all dimensions, or one per dimension (any, such as
         ``None``, for a dimension that is left out); ``None`` takes the bounds of the space
     :param high: last edge, given like ``low``
@@ -86,7 +87,7 @@ class DiscretizeObservation(gym.ObservationWrapper[Any, Any, Any], RecordConstru
         self.observation_space = spaces.MultiDiscrete(list(self.n_cells)) if multi_discrete else self._number_cells()
 
     def __str__(self) -> str:
-        """The cells and the edges of each dimension, and the environment within."""
+        """The number of cells, the edges of each dimension, and the wrapped environment."""
         alike = [(text, len(list(group))) for text, group in groupby(map(_describe, self.edges))]
         parts = [f"{text} ({count} times)" if count > 1 else text for text, count in alike]
         shown = parts if len(parts) <= 8 else [*parts[:7], "..."]
@@ -202,11 +203,11 @@ def _check_space(env: gym.Env[Any, Any]) -> spaces.Box:
 
 
 def _hint_on_flattening(env: gym.Env[Any, Any]) -> str:
-    """What to say where flattening has made one dimension of every value that a Discrete part can take."""
+    """A hint for messages, if FlattenObservation has made one dimension of every value of a Discrete part."""
     if isinstance(env, FlattenObservation) and is_finite(env.env.observation_space):
         return (
-            f" Or take out FlattenObservation and this wrapper: {env.env.observation_space} needs neither, TabularQ takes it "
-            "as it is."
+            f" Or remove FlattenObservation and this wrapper: {env.env.observation_space} needs neither, because TabularQ "
+            "takes it as it is."
         )
     return ""
 
@@ -214,7 +215,7 @@ def _hint_on_flattening(env: gym.Env[Any, Any]) -> str:
 def _check_alone(**even: Any) -> None:
     others = [name for name, value in even.items() if value is not None]
     if others:
-        raise ValueError(f"edges say where the cells are, and so do {', '.join(others)}: give one or the other.")
+        raise ValueError(f"`edges` alone sets the cells, but got {', '.join(others)} too: give one or the other.")
 
 
 def _per_dimension(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> list[Any]:
@@ -248,14 +249,14 @@ def _edge_counts(n_edges: int | Sequence[int], shape: tuple[int, ...]) -> list[i
         if isinstance(count, bool) or not isinstance(count, int) or count < 0 or count == 1:
             raise ValueError(
                 "n_edges must be an integer of at least 2 (low and high are edges themselves), or 0 to leave the dimension "
-                f"out, got {count!r} for dimension {dimension}. Buckets are cells, one more than there are edges: one bucket "
-                "is n_edges=0; for two, say by `edges` where the one edge is."
+                f"out, got {count!r} for dimension {dimension}. A bucket is a cell, and there is one more than there are "
+                "edges: for one bucket pass n_edges=0; for two, pass the one edge by `edges`."
             )
     return counts
 
 
 def _bounds(name: str, value: npt.ArrayLike | None, space_bounds: npt.NDArray[Any], counts: list[int]) -> list[float]:
-    """Take the given bounds, or those of the space, as Python floats, one per dimension; any for those left out."""
+    """Take the given bounds, or those of the space, as Python floats, one per dimension. A dimension left out may have any."""
     given = space_bounds if value is None else np.asarray(value, dtype=np.float64)
     bounds = [float(bound) for bound in _per_dimension(name, given, space_bounds.shape)]
     bad = [dimension for dimension, bound in enumerate(bounds) if counts[dimension] and not math.isfinite(bound)]
@@ -317,7 +318,7 @@ def _increase(edges: npt.NDArray[np.float64]) -> bool:
 
 
 def _frozen(edges: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Read-only, because the wrapper bins with a copy of them."""
+    """The edges as a read-only array: the wrapper bins with a copy, so changes would have no effect."""
     array = np.array(edges, dtype=np.float64)
     array.flags.writeable = False
     return array
@@ -341,19 +342,19 @@ def _reject_nan(values: list[float]) -> None:
 def edges_of(wrapper: gym.ObservationWrapper[Any, Any, Any]) -> tuple[npt.NDArray[np.float64], ...]:
     """
     :param wrapper: a :class:`DiscretizeObservation`, or gymnasium's wrapper of that name, which numbers its cells alike
-    :return: the edges of each dimension in increasing order, of any distances; none for a dimension that is left out
-    :raises ValueError: if gymnasium's wrapper bins otherwise than by its edges
+    :return: the edges of each dimension in increasing order, evenly spaced or not; none for a dimension that is left out
+    :raises ValueError: if gymnasium's wrapper does not bin by its edges, because cells are too narrow
     """
     if isinstance(wrapper, DiscretizeObservation):
         return wrapper.edges
     assert isinstance(wrapper, GymnasiumDiscretizeObservation)
     edges = tuple(np.asarray(one, dtype=np.float64) for one in wrapper.bin_edges)
-    # Its observations are cut off there; in the float32 of most spaces this is the bound itself, within the last cell
+    # gymnasium clips observations to these values. In float32 they usually equal the bound, which is in the last cell
     tops = (wrapper.high - 1e-8).tolist()
     for dimension, (one, top) in enumerate(zip(edges, tops, strict=True)):
         if len(one) and one[-1] > top:
             raise ValueError(
-                f"gymnasium.wrappers.DiscretizeObservation leaves cells of dimension {dimension} empty, which are narrower "
+                f"gymnasium.wrappers.DiscretizeObservation leaves cells of dimension {dimension} empty that are narrower "
                 "than 1e-8: please use sb3_adaptive_q.wrappers.DiscretizeObservation."
             )
     return edges

@@ -17,7 +17,7 @@ from sb3_adaptive_q.experiments.runner import Execution
 @dataclass(frozen=True)
 class LeagueOptions:
     """
-    Compare step sizes: which learns fastest, in which environments, and how certain that is. The result is report.html.
+    Compare step sizes: which one learns fastest in which environment, and how certain that is. The result is report.html.
 
     Tuning and evaluation use different seeds. An interrupted league continues when it is started again with the same output
     folder. --config FILE reads options from a YAML file, such as the design.yml that a league writes; options of the command

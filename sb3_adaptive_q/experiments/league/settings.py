@@ -104,23 +104,24 @@ def league_data() -> dict[str, Any]:
 @dataclass(frozen=True, kw_only=True)
 class LeagueSettings:
     """
-    What is compared. Without options it is the league itself: every rule in every environment, on all tracks.
+    What is compared. Without options: every rule (a method that sets the step size) in every environment, on all tracks.
 
-    :param tracks: A estimation, B control, C prediction; algorithms repeats B for other algorithms with four rules; all of
-        them if not given, of a quick look B alone
-    :param methods: rules: numbers, names, or module:name of a class; constant and polynomial always take part
-    :param environments: of tracks A and B: names, ids, or module:name of a function that makes one
-    :param algorithm: of tracks A, B and C: a name, or module:name of a class
-    :param runs: evaluated runs of every rule in every environment
-    :param tuning_runs: runs of every setting that the choice of a setting rests on
-    :param quick: four settings of each rule, 5 runs to tune, 20 to evaluate, a tenth of the steps and 5 checkpoints, for a
-        first look
-    :param sweep: name=value,value,... is the grid of a parameter of a rule of your own; can be given several times
-    :param scale: environment=low,high are the mean returns of the uniform and of a good policy, for an environment without a
-        transition table: its policies are judged by rollouts; can be given several times
-    :param steps: of a run in an environment that the league does not know
+    :param tracks: A is estimation, B control, C prediction; algorithms repeats B for other algorithms with four rules;
+        default: all of them, or B alone with --quick
+    :param methods: rules to compare: numbers, names, or module:name of a class; constant and polynomial always take part
+    :param environments: environments of tracks A and B: names, ids, or module:name of a function that makes one
+    :param algorithm: algorithm of tracks A, B and C: a name, or module:name of a class
+    :param runs: evaluation runs of every rule in every environment
+    :param tuning_runs: tuning runs of every setting of a rule, from which its best setting is chosen
+    :param quick: a first look: four settings of each rule, 5 tuning runs, 20 evaluation runs, a tenth of the steps and 5
+        checkpoints
+    :param sweep: name=value,value,... sets the values to tune over for a parameter of a rule of your own; can be given several
+        times
+    :param scale: environment=low,high sets the mean returns of the uniform policy and of a good policy. An environment without
+        a transition table needs them, because its policies are judged by rollouts; can be given several times
+    :param steps: steps of a run in an environment that the league does not know
     :param gamma: discount factor in an environment that the league does not know
-    :param resamples: bootstrap samples of every interval
+    :param resamples: bootstrap samples for every interval
     :raises DesignError: if one of these is out of range
     """
 

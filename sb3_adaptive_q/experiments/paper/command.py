@@ -18,13 +18,13 @@ from sb3_adaptive_q.experiments.runner import Execution
 @dataclass(frozen=True)
 class StudyOptions:
     """
-    Repeat the paper's experiment: its tables and figures beside the paper's, and its claims judged.
+    Repeat the paper's experiment, compare its tables and figures with the paper's, and judge the paper's claims.
 
     An interrupted study continues when it is started again with the same output folder. --config FILE reads options from a
     YAML file, such as the design.yml that a study writes; options of the command line override it.
 
     :param tensorboard: also write TensorBoard logs to this folder; TensorBoard's HPARAMS page compares them
-    :param tensorboard_runs: what to write there: mean, one log a method, its mean over the runs; or all, one log a run
+    :param tensorboard_runs: mean writes one log for each method, its mean over the runs; all writes one log for each run
     """
 
     design: tyro.conf.OmitArgPrefixes[StudySettings] = field(default_factory=StudySettings)

@@ -68,8 +68,8 @@ class StudySettings:
     What is run, and what is compared.
 
     :param systems: environments: ids, or module:name of a function that makes one
-    :param methods: what sets the learning rate: 1 to 8, names, or module:name of a class
-    :param algorithms: names, or module:name of a class
+    :param methods: methods that set the learning rate: 1 to 8, names, or module:name of a class
+    :param algorithms: algorithms: names, or module:name of a class
     :param runs: independent runs of each method
     :param episodes: episodes of a run
     :param seed: seed of the whole study; the seed of every run follows from it
@@ -79,9 +79,9 @@ class StudySettings:
     :param exploration_fraction: fraction of the episodes in which ε falls
     :param exploration_initial_eps: ε at the start
     :param exploration_final_eps: ε at the end
-    :param beta_1: μ of Method 1, the lower end of Methods 3 and 4, and where Methods 5 to 8 start from
+    :param beta_1: μ of Method 1, smallest μ of Methods 3 and 4, and first μ of Methods 5 to 8
     :param beta_2: μ of Method 2
-    :param beta_3: the difference between the ends of μ in Methods 3 and 4
+    :param beta_3: the difference between the largest and the smallest μ of Methods 3 and 4
     :param beta_5: factor of the change of value in Methods 5 and 6
     :param beta_6: change of μ at every update in Methods 7 and 8
     :param beta_7: smallest μ of Methods 5 to 8
@@ -89,7 +89,7 @@ class StudySettings:
     :param preset: literal reads Equations 7 to 11 as they stand; table8 is the reading that comes closest to the paper's Table
         8, chosen by fitting, so not evidence for it
     :param next_action: the action whose value in the next state Methods 5 to 8 look at: same (the action just taken),
-        next (the one taken next) or max (the best one); default: as the preset has it
+        next (the one taken next) or max (the best one); default: the preset's
     :raises DesignError: if one of these is out of range
     """
 
