@@ -11,7 +11,7 @@ COMMANDS = {
     "plot": ("sb3_adaptive_q.zoo", "main", "zoo-plots", "plot the returns of trainings"),
     "study": ("sb3_adaptive_q.experiments.paper.command", "main", "study", "repeat the paper's experiment"),
     "league": ("sb3_adaptive_q.experiments.league.command", "main", "study", "compare step sizes in many environments"),
-    "methods": ("sb3_adaptive_q.listing", "main", "", "list all methods with formulas and parameters (takes no options)"),
+    "methods": ("sb3_adaptive_q.listing", "main", "", "list all methods with formulas and parameters"),
 }
 
 

@@ -1,5 +1,6 @@
 """The command ``python -m sb3_adaptive_q methods``."""
 
+import argparse
 import inspect
 import sys
 
@@ -11,11 +12,11 @@ def main(arguments: list[str]) -> None:
     """
     Print every method: number or name, formula, parameters and source.
 
-    :param arguments: none are taken
-    :raises SystemExit: if there are any
+    :param arguments: of the command line; there are none but ``--help``
+    :raises SystemExit: if there are others, with an error on standard error
     """
-    if arguments:
-        raise SystemExit(f"error: `methods` takes no arguments, but got {' '.join(arguments)}.")
+    description = "Print every method: its number or name, its formula, its parameters and its source."
+    argparse.ArgumentParser(prog="python -m sb3_adaptive_q methods", description=description).parse_args(arguments)
     print(describe(paper_methods(), sys.stdout.encoding))
 
 

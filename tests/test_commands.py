@@ -36,3 +36,11 @@ def test_methods(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["methods"])
     assert not stop.value.code and "autostep" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("option", "code"), [("--help", 0), ("--env", 2)])
+def test_methods_has_no_options(option: str, code: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["methods", option])
+    printed = capsys.readouterr()
+    assert stop.value.code == code and "usage: python -m sb3_adaptive_q methods" in printed.out + printed.err

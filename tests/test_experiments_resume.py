@@ -116,7 +116,7 @@ def test_interrupt_stores_what_is_done_and_says_how_to_go_on(
     os.killpg(process.pid, signal.SIGINT)  # as the keyboard does: all processes get it
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert "Interrupted" in errors and "start again to go on" in errors and "Traceback" not in errors
+    assert "Interrupted" in errors and "start the command again to continue" in errors and "Traceback" not in errors
     assert 4 <= len(cell_files(folder)) < 24
     assert leftovers(folder) == []
     assert run_to_the_end(SETTINGS, folder) == uninterrupted

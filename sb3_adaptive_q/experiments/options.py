@@ -66,7 +66,7 @@ def report_errors(command: Callable[[], Any]) -> int:
     except ExperimentError as error:
         return _fail(error, 1)
     except KeyboardInterrupt:
-        return _fail("Interrupted. The runs that are done are stored: start again to go on.", 1)
+        return _fail("Interrupted. The runs that are done are stored: start the command again to continue.", 1)
     return 0
 
 

@@ -113,11 +113,13 @@ def _outcomes(parallel: Parallel, cells: Sequence[Cell], run: Run) -> Iterator[O
         raise ExperimentError(f"The Dask cluster has no worker: please start some with `dask worker`. ({error})") from error
     except BrokenExecutor as error:
         raise ExperimentError(
-            f"A worker died ({error}), perhaps because memory ran out. Start again to go on; --workers 1 needs the least "
-            "memory."
+            f"A worker died ({error}), perhaps because memory ran out. Start the command again to continue; "
+            "--workers 1 needs the least memory."
         ) from error
     except CancelledError as error:
-        raise ExperimentError("The Dask scheduler was lost: check that it is running, and start again to go on.") from error
+        raise ExperimentError(
+            "The Dask scheduler was lost: check that it is running, and start the command again to continue."
+        ) from error
 
 
 @contextmanager

@@ -39,7 +39,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     except OSError as error:
         raise ExperimentError(
             f"Cannot write to {path.parent}: {error.strerror or error}. What was stored before is whole: make room or choose "
-            "another output folder, and start again to go on."
+            "another output folder, and start the command again to continue."
         ) from error
 
 

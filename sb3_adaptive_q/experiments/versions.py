@@ -76,7 +76,7 @@ def check_worker(wanted: Mapping[str, str], names: Iterable[str]) -> None:
     if differences:
         raise ExperimentError(
             f"A worker on {platform.node()} has other versions: {'; '.join(differences)}. Install the same on every worker, "
-            "and start again to go on."
+            "and start the command again to continue."
         )
 
 
