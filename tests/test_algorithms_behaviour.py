@@ -140,6 +140,24 @@ def learn_and_record(name: str, callbacks: list[BaseCallback], n_steps: int = 30
     return model.learn(n_steps, callback=callbacks, log_interval=None)
 
 
+#: The ``next_action`` with which a rule sees the very value that is inside the one-step target
+BOOTSTRAPS = {
+    **dict.fromkeys(("sarsa", "sarsa_lambda", "true_online", "n_step"), "next"),
+    **dict.fromkeys(("tabular_q", "q_lambda", "naive", "peng", "n_step_q", "n_step_tree_backup"), "max"),
+}
+
+
+def check_update(name: str, next_action: str, record: Recorder, place: int, step: Any) -> None:
+    """Compare what a rule sees besides the values with what was recorded."""
+    assert (step.count, step.progress, step.gamma, step.size) == (0.0, (place + 1) / 300, 0.9, 0.5)
+    moved = place
+    if name.startswith("n_step") and place >= 3 and not any(record.dones[place - 3 : place + 1]):
+        moved = place - 3  # the oldest of four; at an episode's end all that are left, this one last
+    assert (step.row, step.column) == (record.states[moved], record.actions[moved])
+    if record.terminated[place] or (BOOTSTRAPS.get(name) == next_action and not record.dones[place]):
+        assert step.td_error == record.rewards[place] + 0.9 * step.next_value - step.value
+
+
 @pytest.mark.parametrize("next_action", ["same", "next", "max"])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_what_a_rule_sees(name: str, next_action: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,6 +185,7 @@ def test_what_a_rule_sees(name: str, next_action: str, monkeypatch: pytest.Monke
             before = before[changed[0]]
         state, reached, action = record.states[place], record.reached[place], record.actions[place]
         assert (step.state, step.action, step.value) == (state, action, before[state, action])
+        check_update(name, next_action, record, place, step)
         if record.terminated[place]:
             assert step.next_value == 0.0
         elif next_action == "max":
@@ -191,15 +210,15 @@ def bootstrapped(name: str, before: np.ndarray, other: np.ndarray, reached: int,
     :return: the value of s' in the one-step target, ``None`` where it needs an action that is not known
     """
     greedy_value = other[reached, before[reached].argmax()]
-    if name.startswith(("sarsa", "true_online")):
+    if name in ("sarsa", "sarsa_lambda", "true_online", "n_step"):
         return None if next_action is None else before[reached, next_action]
-    if name == "double_expected_sarsa" or name == "expected_sarsa":
-        looked_at = before if name == "expected_sarsa" else (before + other) / 2
+    if "expected" in name:
+        looked_at = (before + other) / 2
         return probabilities(("epsilon_greedy", "first"), looked_at[reached], 0.5) @ other[reached]
     return greedy_value
 
 
-@pytest.mark.parametrize("name", [name for name in VARIANTS if not name.startswith("n_step")])
+@pytest.mark.parametrize("name", VARIANTS)
 def test_what_a_step_size_sees(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """
     The value inside the target, the one-step error, how often the pair was updated, and what it gave the last time. The rule
@@ -225,7 +244,8 @@ def test_what_a_step_size_sees(name: str, monkeypatch: pytest.MonkeyPatch) -> No
 
     in_python(monkeypatch)
     record = Recorder()
-    model = learn_and_record(name, [record, Watching(mu_0=0.125)], ties="first")
+    one_step = {"n": 1} if name.startswith("n_step") else {}
+    model = learn_and_record(name, [record, Watching(mu_0=0.125)], ties="first", **one_step)
     after = [*record.tables[1:], model.policy.q_tables.numpy() if model.n_tables == 2 else model.q_table]
     counts = np.zeros((2, 16, 4))
     n_checked, size = 0, 0.125

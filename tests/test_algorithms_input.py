@@ -54,7 +54,10 @@ def test_an_attribute_that_is_set_later(name: str, attribute: str, value: Any) -
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("sarsa_lambda", r"`places` of shape \(1, 16, 4\).*larger `trace_threshold`"), ("n_step", "use a smaller `n`")],
+    [
+        ("sarsa_lambda", r"`places` of shape \(1, 16, 4\).*larger `trace_threshold`"),
+        ("n_step", r"`taken, with rewards` of shape \(1, 4, 3\).* use a smaller `n`\.$"),
+    ],
 )
 def test_more_than_the_memory_holds(name: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     model = ALGORITHMS[name]("MlpPolicy", "FrozenLake-v1")
@@ -128,6 +131,24 @@ class TestChanges:
         model.learn(0, reset_num_timesteps=False, log_interval=None)
         assert any(any(array.tobytes()) for array in old.values())
         assert not any(any(array.tobytes()) for array in model._working.values())
+
+
+class TestWorkingArrays:
+    """They are saved under their names."""
+
+    def shapes(self, name: str, **arguments: Any) -> dict[str, tuple[int, ...]]:
+        model = ALGORITHMS[name]("MlpPolicy", make_vec_env("FrozenLake-v1", 2), **arguments)
+        model.learn(0, log_interval=None)
+        return {name: array.shape for name, array in model._working.items()}
+
+    def test_n_step(self) -> None:
+        expected = {"taken": (2, 4, 2), "rewards": (2, 4), "ends": (2, 2), "next_values": (4,)}
+        assert self.shapes("n_step") == expected
+        assert self.shapes("n_step", n=7) == expected | {"taken": (2, 7, 2), "rewards": (2, 7)}
+
+    def test_true_online(self) -> None:
+        traces = self.shapes("sarsa_lambda")
+        assert self.shapes("sarsa_lambda", true_online=True) == traces | {"old_values": (2,)}
 
 
 class TestArraysOfAFile:
