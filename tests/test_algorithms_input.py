@@ -146,9 +146,21 @@ class TestWorkingArrays:
         assert self.shapes("n_step") == expected
         assert self.shapes("n_step", n=7) == expected | {"taken": (2, 7, 2), "rewards": (2, 7)}
 
-    def test_true_online(self) -> None:
-        traces = self.shapes("sarsa_lambda")
-        assert self.shapes("sarsa_lambda", true_online=True) == traces | {"old_values": (2,)}
+    @pytest.mark.parametrize(
+        ("name", "arguments", "further"),
+        [
+            ("sarsa_lambda", {}, {}),
+            ("sarsa_lambda", {"true_online": True}, {"old_values": (2,)}),
+            ("q_lambda", {}, {}),
+            ("q_lambda", {"variant": "naive"}, {"next_values": (4,)}),
+            ("q_lambda", {"variant": "peng"}, {"next_values": (4,)}),
+        ],
+    )
+    @pytest.mark.parametrize(("decay", "longest"), [(1.0, 64), (0.0, 1)])
+    def test_traces(self, name: str, arguments: dict[str, Any], further: dict[str, Any], decay: float, longest: int) -> None:
+        pairs = {"pairs": (2, longest, 2), "traces": (2, longest, 2)}
+        expected = {"places": (2, 16, 4), **pairs, "n_pairs": (2,), **further}
+        assert self.shapes(name, gamma=1.0, trace_decay=decay, **arguments) == expected
 
 
 class TestArraysOfAFile:

@@ -76,6 +76,17 @@ class TestTraces:
             expected = np.array(sweep_everything(variant, trace, sequence, decay, constant, threshold))
             np.testing.assert_array_equal(found, expected, variant)
 
+    @pytest.mark.parametrize("variant", ["sarsa", "watkins", "naive", "peng"])
+    @law(sequence=sequences())
+    def test_all_pairs_move_with_the_step_size_in_force(self, variant: str, sequence: GoldenSequence) -> None:
+        """Method 3, whose step size falls from 0.05 to 0.01."""
+        n = len(sequence.transitions)
+        falling = [0.01 + 0.04 * (1.0 - place / n) for place in range(n)]
+        algorithm, own = (SARSALambda, {}) if variant == "sarsa" else (QLambda, {"variant": variant})
+        found = tables_of(algorithm, sequence, method=3, trace_decay=0.5, trace_threshold=0.0, **own)
+        expected = np.array(sweep_everything(variant, "accumulating", sequence, 0.5, None, 0.0, falling))
+        np.testing.assert_array_equal(found, expected)
+
     @pytest.mark.parametrize("sizes", SIZES)
     @law(sequence=sequences(), decay=st.sampled_from([0.0, 0.5, 0.9, 1.0]))
     def test_true_online_is_the_lambda_return(self, sizes: str, sequence: GoldenSequence, decay: float) -> None:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from sb3_adaptive_q import step_sizes
 from sb3_adaptive_q.step_sizes import STEP_SIZES, Description, Parameter, describe, find_step_size, paper, resolve_parameters
 from sb3_adaptive_q.step_sizes.adaptive import delta_bar_delta, have_opposite_signs, obgd
+from sb3_adaptive_q.step_sizes.cells import SCOPES, scope_shape
 from sb3_adaptive_q.step_sizes.counts import horizon
 
 NAMES = list(STEP_SIZES)
@@ -251,3 +252,10 @@ class TestRulesOfThePaper:
 
     def test_hold(self) -> None:
         assert paper.hold_rate(0.3, make_step()) == 0.3
+
+
+@pytest.mark.parametrize(("scope", "shape"), [("pair", (7, 3)), ("state", (7, 1)), ("shared", (1, 1))])
+def test_a_scope_is_a_shape_of_cells(scope: str, shape: tuple[int, int]) -> None:
+    assert scope_shape(scope, 7, 3) == shape
+    cells = {SCOPES[scope](state, action) for state in range(7) for action in range(3)}
+    assert cells == set(np.ndindex(shape))

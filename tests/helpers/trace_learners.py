@@ -29,8 +29,9 @@ def sizes_of_visits(sequence: GoldenSequence, constant: float | None) -> list[fl
 
 
 def sweep_everything(
-    algorithm: str, trace: str, sequence: GoldenSequence, decay: float, constant: float | None, threshold: float
-) -> list[np.ndarray]:
+    algorithm: str, trace: str, sequence: GoldenSequence, decay: float, constant: float | None, threshold: float,
+    in_force: list[float] | None = None,
+) -> list[np.ndarray]:  # fmt: skip
     """
     SARSA(λ) and Q(λ) with a trace for every entry of the table, all of which move at every step.
 
@@ -40,12 +41,15 @@ def sweep_everything(
     :param decay: λ
     :param constant: the step size of all; ``None`` for one over the visits of each pair
     :param threshold: a trace that has fallen to this is set to 0
+    :param in_force: the step size of each transition, with which all pairs then move, in place of ``constant``
     :return: the table after every transition
     """
     shape, gamma = (sequence.n_states, sequence.n_actions), sequence.gamma
     q, traces, sizes, tables = np.zeros(shape), np.zeros(shape), np.zeros(shape), []
-    for t, size in zip(sequence.transitions, sizes_of_visits(sequence, constant), strict=True):
+    for t, size in zip(sequence.transitions, in_force or sizes_of_visits(sequence, constant), strict=True):
         pair = t.state, t.action
+        if in_force is not None:
+            sizes[:] = size
         largest = 0.0 if t.terminated else q[t.next_state].max()
         next_value = 0.0 if t.terminated else q[t.next_state, t.next_action]
         cut = algorithm == "watkins" and next_value != largest
