@@ -21,7 +21,7 @@ from numba.extending import register_jitable
 from sb3_adaptive_q.compiled import frozen
 
 #: How functions are compiled into their caller. Without reference counts, which would cost a third of the speed: every array
-#: is the caller's, who holds it. Without the entrances from Python and C, which nobody uses and which take a fifth of the time
+#: is the caller's, who holds it. Without the entrances from Python and C, which nobody uses and which take time to compile
 INLINED: dict[str, Any] = {"forceinline": True, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 #: How the function that is called from Python is compiled
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
