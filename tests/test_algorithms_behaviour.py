@@ -26,7 +26,7 @@ from sb3_adaptive_q import (
     TabularQ,
 )
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, TIES, expect_boltzmann
+from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, SCHEDULES, TIES, expect_boltzmann
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.random_numbers import uniform
 from sb3_adaptive_q.rollouts import step_rollout
@@ -520,6 +520,33 @@ def test_the_boltzmann_policy_divides_the_numbers(number: float, action: int) ->
     """Two equal actions have a half of the numbers each."""
     choose = as_python(BEHAVIOURS["boltzmann", "first"].choose)
     assert choose((np.array([[1.0, 1.0]]),), 0, 1.0, counter_that_draws(number)) == action
+
+
+def test_rounding_leaves_the_last_action() -> None:
+    """Here the weights, subtracted one after the other from the largest number times their sum, leave 0.0."""
+    table = np.array([[-2.1, -0.8, -0.3]])
+    choose = as_python(BEHAVIOURS["boltzmann", "first"].choose)
+    assert choose((table,), 0, 1.0, counter_that_draws(1.0 - 2.0**-53)) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "progress", "rate"),
+    [
+        ("linear", 0.0, 1.0), ("linear", 0.25, 0.53125), ("linear", 0.375, 0.296875), ("linear", 0.5, 0.0625),
+        ("linear", 0.9, 0.0625),
+        ("exponential", 0.0, 1.0), ("exponential", 0.25, 0.25), ("exponential", 0.5, 0.0625), ("exponential", 0.9, 0.0625),
+        ("constant", 0.0, 1.0), ("constant", 0.9, 1.0),
+    ],
+)  # fmt: skip
+def test_schedules_by_hand(name: str, progress: float, rate: float) -> None:
+    """From 1 to 1/16 in the first half of the training."""
+    assert SCHEDULES[name](progress, 1.0, 0.0625, 0.5) == rate
+
+
+@pytest.mark.parametrize("name", ["linear", "exponential"])
+def test_a_schedule_ends_at_the_very_number(name: str) -> None:
+    """What its formula gives there differs in the last bits."""
+    assert SCHEDULES[name](0.3, 1.0, 0.05, 0.3) == 0.05
 
 
 @pytest.mark.parametrize("best", range(3))

@@ -4,7 +4,7 @@ import inspect
 import io
 import math
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sb3_adaptive_q import step_sizes
+from sb3_adaptive_q.algorithms.td_update import Agent, Memory, Transition
 from sb3_adaptive_q.step_sizes import STEP_SIZES, Description, Parameter, describe, find_step_size, paper, resolve_parameters
 from sb3_adaptive_q.step_sizes.adaptive import delta_bar_delta, have_opposite_signs, obgd
-from sb3_adaptive_q.step_sizes.cells import SCOPES, scope_shape
+from sb3_adaptive_q.step_sizes.cells import MOST_ARRAYS, SCOPES, make_size, scope_shape
 from sb3_adaptive_q.step_sizes.counts import horizon
 
 NAMES = list(STEP_SIZES)
@@ -259,3 +260,22 @@ def test_a_scope_is_a_shape_of_cells(scope: str, shape: tuple[int, int]) -> None
     assert scope_shape(scope, 7, 3) == shape
     cells = {SCOPES[scope](state, action) for state in range(7) for action in range(3)}
     assert cells == set(np.ndindex(shape))
+
+
+@pytest.mark.parametrize("n_arrays", range(MOST_ARRAYS + 1))
+def test_without_counts_the_arrays_are_the_step_sizes_own(n_arrays: int) -> None:
+    """All of them, those of the table that is updated, and the count is 0."""
+    seen: list[Any] = []
+
+    def step_size(mu: float, step: Any, *arrays: np.ndarray) -> float:
+        seen.append((mu, step.count, [float(array[step.row, step.column]) for array in arrays]))
+        return 0.25
+
+    arrays = tuple(np.full((2, 3, 2), float(number)) + np.arange(2.0)[:, None, None] / 8 for number in range(n_arrays))
+    memory = Memory(arrays, (), (0.0, 1.0), (), 1)
+    agent = Agent(0.9, 0.0, 0.5, 0.0, 0, 0, ())
+    transition = Transition(2, 1, 1.0, 0, False, False, 0)
+    update = make_size(step_size, "pair", False, n_arrays)(memory, agent, transition, 0.5, 2.0, 1.5)
+    assert seen == [(0.5, 0.0, [number + 0.125 for number in range(n_arrays)])]
+    assert (update.count, update.size) == (0.0, 0.25)
+    assert all((array[1] == number + 0.125).all() for number, array in enumerate(arrays))
