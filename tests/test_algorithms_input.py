@@ -55,7 +55,11 @@ def test_an_attribute_that_is_set_later(name: str, attribute: str, value: Any) -
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("sarsa_lambda", r"`places` of shape \(1, 16, 4\).*larger `trace_threshold`"),
+        (
+            "sarsa_lambda",
+            r"`places` of shape \(1, 16, 4\), `pairs` of shape \(1, \d+, 2\), `traces` of shape .* GiB of memory are free: "
+            r"use a larger `trace_threshold`, fewer environments or fewer cells\.$",
+        ),
         ("n_step", r"`taken, with rewards` of shape \(1, 4, 3\).* use a smaller `n`\.$"),
     ],
 )
