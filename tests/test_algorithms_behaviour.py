@@ -543,10 +543,14 @@ def test_schedules_by_hand(name: str, progress: float, rate: float) -> None:
     assert SCHEDULES[name](progress, 1.0, 0.0625, 0.5) == rate
 
 
-@pytest.mark.parametrize("name", ["linear", "exponential"])
-def test_a_schedule_ends_at_the_very_number(name: str) -> None:
+def test_an_exponential_schedule_from_a_half() -> None:
+    assert SCHEDULES["exponential"](0.25, 0.5, 0.125, 0.5) == 0.25
+
+
+@pytest.mark.parametrize(("name", "initial", "final"), [("linear", 1.0, 0.05), ("exponential", 0.14, 0.11)])
+def test_a_schedule_ends_at_the_very_number(name: str, initial: float, final: float) -> None:
     """What its formula gives there differs in the last bits."""
-    assert SCHEDULES[name](0.3, 1.0, 0.05, 0.3) == 0.05
+    assert SCHEDULES[name](0.3, initial, final, 0.3) == final
 
 
 @pytest.mark.parametrize("best", range(3))
