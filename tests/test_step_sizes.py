@@ -162,6 +162,18 @@ class TestParameters:
         with pytest.raises(ValueError, match="'rescaled_linear' has no parameters, but got 'gamma'"):
             resolve_parameters("rescaled_linear", {"gamma": 0.9})
 
+    #: The step sizes that are logarithms in their memory have other bounds
+    @pytest.mark.parametrize(
+        "name", [name for name, key in PARAMETERS if key == "alpha_0" and name not in ("idbd", "k1", "swift_td")]
+    )
+    def test_a_first_step_size_is_above_0_and_at_most_1(self, name: str) -> None:
+        parameter = find_step_size(name).parameters["alpha_0"]
+        assert (parameter.range, parameter.meaning) == ("(0, 1]", "the first step size")
+        assert resolve_parameters(name, {"alpha_0": 1})["alpha_0"] == 1.0
+        for wrong in (0.0, 1.5):
+            with pytest.raises(ValueError, match=r"`alpha_0` must be a number in \(0, 1\], but got"):
+                resolve_parameters(name, {"alpha_0": wrong})
+
     def test_the_notation_of_ranges(self) -> None:
         assert Parameter(0.5, 0.0, 1.0, "").range == "[0, 1]"
         assert Parameter(0.5, 0.0, 1.0, "", open_lower=True, open_upper=True).range == "(0, 1)"
