@@ -127,9 +127,10 @@ def test_dead_worker_process_is_reported_and_costs_nothing(tmp_path: Path, unint
 
     def kill_a_worker() -> None:
         wait_for(lambda: len(cell_files(folder)) >= 2)
-        for child in psutil.Process().children():
-            if "popen_loky" in " ".join(child.cmdline()):  # joblib's processes
-                child.kill()
+        # Not while it sends the result of that cell: joblib would wait for the rest of it for ever
+        time.sleep(0.05)
+        joblibs = [child for child in psutil.Process().children() if "popen_loky" in " ".join(child.cmdline())]
+        joblibs[0].kill()
 
     killer = threading.Thread(target=kill_a_worker)
     killer.start()
