@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -337,6 +338,14 @@ print(freeze(rule).__name__)
             freeze(scope["rule"])
         with pytest.raises(CannotCompile, match="it uses `HELD`"):
             machine_code(scope["rule"], (0.0, 0.0))
+
+    def test_a_value_of_another_module_is_named_with_it(self):
+        module = ModuleType("mine")
+        module.HELD = [1.0]
+        scope = {"mine": module}
+        exec("def rule(mu, step): return mine.HELD", scope)
+        with pytest.raises(CannotFreeze, match=r"it uses `mine\.HELD`, which is a list"):
+            freeze(scope["rule"])
 
 
 class TestOneProcess:

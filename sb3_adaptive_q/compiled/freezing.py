@@ -65,9 +65,9 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     names = list(dict.fromkeys(name for each in code for name in each.co_names))
     cells = zip(original.__code__.co_freevars, original.__closure__ or (), strict=True)
     scope, keys = _split(
-        {name: _freeze(name, original.__globals__[name], names) for name in names if name in original.__globals__}
+        {name: _freeze_value(name, original.__globals__[name], names) for name in names if name in original.__globals__}
     )
-    closure, cell_keys = _split({name: _freeze(name, cell.cell_contents, names) for name, cell in cells})
+    closure, cell_keys = _split({name: _freeze_value(name, cell.cell_contents, names) for name, cell in cells})
     decides = [
         INLINED, OPTIONS, bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
         _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__),
@@ -94,7 +94,7 @@ def _split(frozen_values: dict[str, tuple[Any, Any]]) -> tuple[dict[str, Any], l
     return values, [(name, key) for name, (_, key) in frozen_values.items()]
 
 
-def _freeze(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
+def _freeze_value(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
     """
     :param name: what a function knows the value by
     :param value: what it uses
@@ -110,7 +110,7 @@ def _freeze(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
         return value, _being_copied.index(helper) if helper in _being_copied else freeze(value).__name__
     if isinstance(value, types.ModuleType) and not _is_foreign(value.__name__):
         held = {
-            other: _freeze(other, getattr(value, other), [each for each in names if each != other])
+            other: _freeze_value(f"{name}.{other}", getattr(value, other), [each for each in names if each != other])
             for other in names
             if getattr(value, other, value) is not value
         }

@@ -1,5 +1,5 @@
 """
-All that is asked of Numba's compiler.
+Machine code from plain functions, by Numba.
 
 :func:`sb3_adaptive_q.compiled.freezing.freeze` copies a plain function under a name made of the digest of all that it uses;
 :func:`machine_code` compiles the copy, which Numba's disk cache then knows by its name.
