@@ -285,7 +285,7 @@ STUDY: dict[str, Check] = {
 }
 
 #: How an experiment is carried out
-EXECUTION: dict[str, Check] = {"workers": LEARN["workers"], "processes": FLAG, "progress": FLAG}
+EXECUTION: dict[str, Check] = {"workers": LEARN["workers"], "progress": FLAG}
 
 #: Settings of the league. Its statistics need at least two of each
 LEAGUE: dict[str, Check] = {

@@ -38,7 +38,7 @@ def cluster() -> Iterator["distributed.LocalCluster"]:
 
 def run(cells: list[Cell], path: Path, **execution: object) -> dict[str, bytes]:
     folder = ResultFolder(path)
-    assert run_missing(cells, folder, Execution(output=path, progress=False, **execution)) == []  # type: ignore[arg-type]
+    assert run_missing(cells, folder, Execution(output=path, progress=False, **execution), in_threads=True) == []  # type: ignore[arg-type]
     return {file.name: file.read_bytes() for file in path.rglob("*.parquet")}
 
 

@@ -124,7 +124,8 @@ def test_other_environments(tmp_path: Path, no_figures: None) -> None:
     assert set(runs["system"]) == set(settings.systems)
     in_threads = ResultFolder(tmp_path / "threads")
     cells = replace(settings, systems=("riverswim",)).design().cells()
-    assert run_missing(cells, in_threads, Execution(output=in_threads.path, workers=2, progress=False)) == []
+    execution = Execution(output=in_threads.path, workers=2, progress=False)
+    assert run_missing(cells, in_threads, execution, in_threads=True) == []
     for file in in_threads.path.rglob("*.parquet"):
         assert file.read_bytes() == (tmp_path / "study" / "cells" / file.name).read_bytes()
 

@@ -21,7 +21,7 @@ import yaml
 import sb3_adaptive_q
 from sb3_adaptive_q import atomic, experiments
 from sb3_adaptive_q.experiments import Execution, ExperimentError, versions
-from sb3_adaptive_q.experiments.paper import figures
+from sb3_adaptive_q.experiments.paper import figures, study
 from sb3_adaptive_q.experiments.paper.command import main
 from sb3_adaptive_q.experiments.paper.settings import StudySettings
 from sb3_adaptive_q.experiments.paper.study import run_study
@@ -122,8 +122,11 @@ def test_interrupt_stores_what_is_done_and_says_how_to_go_on(
     assert run_to_the_end(SETTINGS, folder) == uninterrupted
 
 
-def test_dead_worker_process_is_reported_and_costs_nothing(tmp_path: Path, uninterrupted: dict[str, bytes]) -> None:
+def test_dead_worker_process_is_reported_and_costs_nothing(
+    tmp_path: Path, uninterrupted: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "study"
+    monkeypatch.setattr(study, "is_compiled", lambda system: False)  # so that the runs are given to processes
 
     def kill_a_worker() -> None:
         wait_for(lambda: len(cell_files(folder)) >= 2)
@@ -134,7 +137,7 @@ def test_dead_worker_process_is_reported_and_costs_nothing(tmp_path: Path, unint
 
     killer = threading.Thread(target=kill_a_worker)
     killer.start()
-    execution = Execution(output=folder, workers=2, processes=True, progress=False)
+    execution = Execution(output=folder, workers=2, progress=False)
     with pytest.raises(ExperimentError, match="A worker died"):
         run_study(SETTINGS, execution)
     killer.join()

@@ -37,14 +37,12 @@ class Execution:
 
     :param output: folder of the results; an interrupted experiment continues when it is started again with the same folder
     :param workers: number of runs at the same time; default: one for each core
-    :param processes: use processes instead of threads, for environments or rules that are not compiled
     :param dask: address of the scheduler of a Dask cluster that runs everything, such as tcp://10.0.0.5:8786
     :param progress: show a progress bar with the time left
     """
 
     output: Path = Path("results")
     workers: int | None = None
-    processes: bool = False
     dask: str | None = None
     progress: bool = True
 
@@ -67,7 +65,7 @@ def run_missing(
     cells: Sequence[Cell],
     folder: ResultFolder,
     execution: Execution,
-    in_threads: bool = True,
+    in_threads: bool = False,
     title: str = "",
     unit: str = "run",
 ) -> list[Failure]:
@@ -77,7 +75,7 @@ def run_missing(
     :param cells: the cells of an experiment
     :param folder: its folder
     :param execution: how to carry it out
-    :param in_threads: whether the cells leave the interpreter to each other for most of their time, as compiled runs do
+    :param in_threads: whether threads will do instead of processes: where the cells spend most of their time in machine code
     :param title: what stands before the progress bar
     :param unit: of the cells' costs
     :return: the cells that failed, and why; they are run again the next time
@@ -91,7 +89,7 @@ def run_missing(
     total = sum(cell.cost for cell in in_order)
     done = total - sum(cell.cost for cell in missing)
     failures = []
-    kind = "dask" if execution.dask else "threading" if in_threads and not execution.processes else "loky"
+    kind = "dask" if execution.dask else "threading" if in_threads or execution.workers == 1 else "loky"
     with (
         _workers(execution, kind) as parallel,
         tqdm(desc=title or None, unit=unit, total=total, initial=done, disable=not execution.progress, **BAR) as bar,

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from sb3_adaptive_q.experiments.environments import is_compiled
 from sb3_adaptive_q.experiments.league.analysis import Places, chosen_places, runs_frame
 from sb3_adaptive_q.experiments.league.plan import all_places, cells_of, read_runs
 from sb3_adaptive_q.experiments.league.settings import SELECTION, LeagueSettings, Track
@@ -46,8 +45,7 @@ def run_league(settings: LeagueSettings, execution: Execution) -> str:
     folder = ResultFolder(execution.output)
     folder.open(settings.as_data(), SELECTION)
     start = time.monotonic()
-    in_threads = all(is_compiled(task.environment, **task.arguments) for track in tracks for task in track.tasks)
-    played = [play(settings, track, folder, execution, in_threads) for track in tracks]
+    played = [play(settings, track, folder, execution) for track in tracks]
     seconds = time.monotonic() - start
     if execution.progress:
         print("Comparing the rules, drawing figures ...", file=sys.stderr)
@@ -57,18 +55,15 @@ def run_league(settings: LeagueSettings, execution: Execution) -> str:
     return write_outputs(settings, folder, played, seconds)
 
 
-def play(
-    settings: LeagueSettings, track: Track, folder: ResultFolder, execution: Execution, in_threads: bool = True
-) -> Played:
+def play(settings: LeagueSettings, track: Track, folder: ResultFolder, execution: Execution) -> Played:
     """
     :param settings: of the league
     :param track: one of its tracks
     :param folder: of the league
     :param execution: how to carry it out
-    :param in_threads: whether threads will do
     :return: the track with all its runs
     """
-    tuning = _run(settings, track, all_places(track), "tuning", (folder, execution, in_threads))
+    tuning = _run(settings, track, all_places(track), "tuning", folder, execution)
     chosen = chosen_places(track, tuning)
     places = {
         (i, int(setting), k): None
@@ -76,7 +71,7 @@ def play(
         for i, row in enumerate(settings_of)
         for k, setting in enumerate(row)
     }
-    evaluation = _run(settings, track, places, "evaluation", (folder, execution, in_threads))
+    evaluation = _run(settings, track, places, "evaluation", folder, execution)
     return Played(track, tuning, chosen, evaluation)
 
 
@@ -85,12 +80,12 @@ def _run(
     track: Track,
     places: Iterable[tuple[int, int, int]],
     phase: str,
-    where: tuple[ResultFolder, Execution, bool],
+    folder: ResultFolder,
+    execution: Execution,
 ) -> Places:
     cells = {place: cells_of(settings, track, place, phase) for place in places}
-    folder, execution, in_threads = where
     title = f"track {track.name}, {phase}" if len(track.name) == 1 else f"{track.name}, {phase}"
-    failures = run_missing([cell for each in cells.values() for cell in each], folder, execution, in_threads, title, "step")
+    failures = run_missing([cell for each in cells.values() for cell in each], folder, execution, title=title, unit="step")
     reasons = {failure.cell.key: failure.reason for failure in failures}
     return {place: read_runs(folder, each, reasons) for place, each in cells.items()}
 
