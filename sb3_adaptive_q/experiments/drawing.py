@@ -32,12 +32,12 @@ def render(figure: Figure, kind: str) -> bytes:
     buffer = BytesIO()
     with rc_context({**STYLE, "path.simplify_threshold": 1.0}):
         figure.savefig(buffer, format=kind, dpi=RESOLUTION, metadata={"CreationDate": None} if kind == "pdf" else None)
-    figure.set_layout_engine("none")  # which keeps the places of everything, and saves finding them again
+    figure.set_layout_engine(None)  # which keeps the places of everything, and saves finding them again
     return _few_colors(buffer) if kind == "png" else buffer.getvalue()
 
 
 def _few_colors(png: BytesIO) -> bytes:
     """The same picture with 128 colours, in a third of the size: a report holds dozens of them."""
     smaller = BytesIO()
-    Image.open(png).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(smaller, format="png", optimize=True)
+    Image.open(png).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(smaller, format="png")
     return smaller.getvalue()

@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import contextmanager
@@ -132,7 +133,10 @@ def _workers(execution: Execution, kind: str) -> Iterator[Parallel]:
             backend.effective_n_jobs = lambda n_jobs: max(2, count(n_jobs))
             yield Parallel(n_jobs=-1, pre_dispatch="all", **options)
         return
-    yield Parallel(n_jobs=execution.workers or cpu_count(), backend=kind, pre_dispatch="3*n_jobs", **options)
+    with warnings.catch_warnings():
+        # Joblib replaces a worker that holds much more memory than at its start, as one that has compiled many loops does
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
+        yield Parallel(n_jobs=execution.workers or cpu_count(), backend=kind, pre_dispatch="3*n_jobs", **options)
 
 
 def _run_in_process(cell: Cell, wanted: Mapping[str, str]) -> Outcome:
