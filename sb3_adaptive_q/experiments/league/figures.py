@@ -56,8 +56,10 @@ def plane_figure(track: Track, rows: Sequence[Standing], sensitivities: Sequence
         margins = np.array([[row.score.value - row.score.low], [row.score.high - row.score.value]])
         marker, filling = MARKERS[i % len(MARKERS)], color if i < len(MARKERS) else "white"
         style = {"color": color, "marker": marker, "markerfacecolor": filling, "linestyle": ""}
-        axis.errorbar(loss[row.label], row.score.value, yerr=margins, label=row.label, capsize=2, **style)
-        axis.annotate(row.label, (loss[row.label], row.score.value), (5, 3), textcoords="offset points", fontsize="x-small")
+        axis.errorbar(loss[row.label], row.score.value, yerr=margins, label=f"{i + 1} {row.label}", capsize=2, **style)
+        axis.annotate(str(i + 1), (loss[row.label], row.score.value), (5, 3), textcoords="offset points", fontsize="x-small")
+    # The good rules lie close together near 0, the others far apart
+    axis.set_xscale("function", functions=(_signed_root, _signed_square))
     axis.set(
         xlabel="sensitivity: what one setting for all environments costs against the best in each",
         ylabel="score (interquartile mean, one setting for all)",
@@ -66,6 +68,14 @@ def plane_figure(track: Track, rows: Sequence[Standing], sensitivities: Sequence
     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="x-small")
     tidy(axis)
     return figure
+
+
+def _signed_root(values: np.ndarray) -> np.ndarray:
+    return np.sign(values) * np.sqrt(np.abs(values))
+
+
+def _signed_square(values: np.ndarray) -> np.ndarray:
+    return np.sign(values) * np.square(values)
 
 
 def curves_figure(track: Track, scores: Scores, rows: Sequence[Standing]) -> Figure:
