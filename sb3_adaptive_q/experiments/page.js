@@ -1,7 +1,7 @@
 "use strict";
-// Numbers come before texts; of "0.45 [0.40, 0.50]" the first number counts
+// Numbers come before texts; of "0.45 [0.40, 0.50]" the first number counts. "3.11.7" and "18e4f0b" are texts
 function key(cell) {
-  const match = cell.textContent.replace("−", "-").match(/^\s*[+-]?\d+(\.\d+)?(e[+-]?\d+)?/i);
+  const match = cell.textContent.replace("−", "-").match(/^\s*[+-]?\d+(\.\d+)?(e[+-]?\d+)?(?![\w.])/i);
   return match ? Number(match[0]) : cell.textContent.trim();
 }
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, cpu_count, delayed, parallel_config
+from joblib.externals.loky import get_reusable_executor
 from joblib.parallel import get_active_backend
 from tqdm import tqdm
 
@@ -137,6 +138,9 @@ def _workers(execution: Execution, kind: str) -> Iterator[Parallel]:
         # Joblib replaces a worker that holds much more memory than at its start, as one that has compiled many loops does
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
         yield Parallel(n_jobs=execution.workers or cpu_count(), backend=kind, pre_dispatch="3*n_jobs", **options)
+    if kind == "loky":
+        # They would wait five minutes for more work, and hold half a GiB each while the results are compared
+        get_reusable_executor().shutdown()
 
 
 def _run_in_process(cell: Cell, wanted: Mapping[str, str]) -> Outcome:
