@@ -1,11 +1,14 @@
 """What is shipped: the content and metadata of the wheel, the pins, and what an import pulls in."""
 
+import ast
+import graphlib
 import importlib
 import importlib.metadata
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Mapping
 from email.message import Message
 from email.parser import HeaderParser
 from pathlib import Path
@@ -172,3 +175,26 @@ def test_a_folder_of_the_same_name_does_not_hide_the_package(tmp_path: Path) -> 
     program = "import sb3_adaptive_q\nprint(sb3_adaptive_q.TabularQ.__name__)"
     finished = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
     assert finished.stdout.strip() == "TabularQ", finished.stderr
+
+
+def imports_of(path: Path, modules: Mapping[str, Path]) -> set[str]:
+    """The modules of ours that a file imports anywhere: at its top, in a function, or for the type checker alone."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, path
+            parts = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= parts if parts <= modules.keys() else parts | {node.module}
+    return found & modules.keys()
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    modules = {}
+    for path in (path for package in ("sb3_adaptive_q", "wrappers") for path in (PROJECT / package).rglob("*.py")):
+        parts = path.relative_to(PROJECT).with_suffix("").parts
+        modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    assert len(modules) > 100
+    graph = {name: imports_of(path, modules) - {name} for name, path in modules.items()}
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, with the circle

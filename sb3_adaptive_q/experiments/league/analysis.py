@@ -41,6 +41,22 @@ MOVING = "moving"
 Places = Mapping[tuple[int, int, int], Runs]
 
 
+class Played(NamedTuple):
+    """
+    A track that was played.
+
+    :param track: the track
+    :param tuning: its tuning runs
+    :param chosen: by way of choosing, the setting of each rule in each task, of shape (rules, tasks)
+    :param evaluation: its evaluation runs
+    """
+
+    track: Track
+    tuning: Places
+    chosen: Mapping[str, np.ndarray]
+    evaluation: Places
+
+
 class Scores(NamedTuple):
     """
     The evaluated runs of a track with one way of choosing settings.

@@ -2,33 +2,15 @@
 
 import sys
 import time
-from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Iterable
 
-import numpy as np
 import pandas as pd
 
-from sb3_adaptive_q.experiments.league.analysis import Places, chosen_places, runs_frame
+from sb3_adaptive_q.experiments.league.analysis import Places, Played, chosen_places, runs_frame
 from sb3_adaptive_q.experiments.league.plan import all_places, cells_of, read_runs
 from sb3_adaptive_q.experiments.league.settings import SELECTION, LeagueSettings, Track
 from sb3_adaptive_q.experiments.runner import Execution, run_missing
 from sb3_adaptive_q.experiments.storage import ResultFolder
-
-
-class Played(NamedTuple):
-    """
-    A track that was played.
-
-    :param track: the track
-    :param tuning: its tuning runs
-    :param chosen: by way of choosing, the setting of each rule in each task, of shape (rules, tasks)
-    :param evaluation: its evaluation runs
-    """
-
-    track: Track
-    tuning: Places
-    chosen: Mapping[str, np.ndarray]
-    evaluation: Places
 
 
 def run_league(settings: LeagueSettings, execution: Execution) -> str:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from sb3_adaptive_q.experiments.drawing import render
 from sb3_adaptive_q.experiments.league.analysis import (
+    Played,
     Scores,
     Sensitivity,
     Standing,
@@ -30,7 +31,6 @@ from sb3_adaptive_q.experiments.league.figures import (
     wins_figure,
 )
 from sb3_adaptive_q.experiments.league.findings import findings, paper_finding
-from sb3_adaptive_q.experiments.league.league import Played
 from sb3_adaptive_q.experiments.league.plan import CHOICES
 from sb3_adaptive_q.experiments.league.remarks import design_remark, scale_remark
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Track, league_data
