@@ -17,6 +17,8 @@ from sb3_adaptive_q.state_index import make_state_index
 
 #: What the names of the buffers of a step size begin with
 MEMORY = "memory_"
+#: Arrays of fewer bytes are made without asking the system how much memory is free
+SURELY_FREE = 2**20
 
 
 def greedy(rows: np.ndarray) -> np.ndarray:
@@ -187,7 +189,10 @@ def check_memory(
     :param advice: what to do where they do not fit
     :raises MemoryError: if they would not fit into the memory that is free
     """
-    needed, free = 8 * sum(prod(shape) for shape in shapes.values()), psutil.virtual_memory().available
+    needed = 8 * sum(prod(shape) for shape in shapes.values())
+    if needed < SURELY_FREE:
+        return
+    free = psutil.virtual_memory().available
     if needed > free:
         arrays = ", ".join(f"`{name.removeprefix(MEMORY)}` of {_in_words(shape)}" for name, shape in shapes.items())
         raise MemoryError(

@@ -65,6 +65,7 @@ def test_an_attribute_that_is_set_later(name: str, attribute: str, value: Any) -
 )
 def test_more_than_the_memory_holds(name: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     model = ALGORITHMS[name]("MlpPolicy", "FrozenLake-v1")
+    monkeypatch.setattr(policies, "SURELY_FREE", 0)
     monkeypatch.setattr(policies, "psutil", SimpleNamespace(virtual_memory=lambda: SimpleNamespace(available=10)))
     with pytest.raises(MemoryError, match=message):
         model.learn(10)

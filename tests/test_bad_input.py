@@ -15,6 +15,7 @@ from helpers.recording import Recorder
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from sb3_adaptive_q import policies
 from sb3_adaptive_q import (
     ConstantRateCallback,
     LearningRateCallback,
@@ -90,6 +91,7 @@ class TestTableThatDoesNotFit:
 
     def test_the_memory_that_is_free_decides(self, monkeypatch):
         """16 states and 4 actions of 8 bytes take 512."""
+        monkeypatch.setattr(policies, "SURELY_FREE", 0)
         monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=511))
         with refused("16 states", "4 actions", error=MemoryError):
             lake()

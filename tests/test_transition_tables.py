@@ -98,6 +98,18 @@ class TestReading:
         env.P = RAGGED
         np.testing.assert_array_equal(read_table(env).outcomes, expected.outcomes)
 
+    def test_tables_of_a_class_are_told_apart(self):
+        """Each is read once, and again where it was changed, in whatever way."""
+        first, second = (TableEnv([[[[1.0, 0, reward, True]]]], [1.0]) for reward in (1.0, 2.0))
+        tables = [read_table(first), read_table(second)]
+        assert [table.outcomes["reward"].tolist() for table in tables] == [[[[1.0]]], [[[2.0]]]]
+        assert read_table(first) is tables[0] and read_table(second) is tables[1]
+        first.P[0][0][0][2] = 3.0
+        assert read_table(first).outcomes["reward"].tolist() == [[[3.0]]]
+        first.P[0] = {0: [(1.0, 0, 4.0, True)]}
+        assert read_table(first).outcomes["reward"].tolist() == [[[4.0]]]
+        assert read_table(second) is tables[1]
+
 
 @st.composite
 def distributions(draw):

@@ -11,6 +11,7 @@ import threading
 import types
 from collections.abc import Callable
 from enum import Enum
+from functools import cache
 from typing import Any
 
 import numba
@@ -61,8 +62,7 @@ def freeze(function: Callable[..., Any]) -> types.FunctionType:
 
 
 def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types.FunctionType:
-    code = _code_of(original)
-    names = list(dict.fromkeys(name for each in code for name in each.co_names))
+    names, text = _read_code(original.__code__)
     cells = zip(original.__code__.co_freevars, original.__closure__ or (), strict=True)
     scope, keys = _split(
         {name: _freeze_value(name, original.__globals__[name], names) for name in names if name in original.__globals__}
@@ -71,7 +71,7 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     decides = [
         INLINED, OPTIONS, bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
         _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__),
-        [(each.co_code, each.co_names, each.co_varnames, _constants_of(each)) for each in code],
+        text,
     ]  # fmt: skip
     name = f"{original.__name__}_{hashlib.sha256(repr(decides).encode()).hexdigest()[:20]}"
     known = getattr(frozen, name, None)
@@ -137,12 +137,15 @@ def _options_of(function: Any) -> list[tuple[str, Any]]:
     return sorted(getattr(function, "targetoptions", {}).items())
 
 
-def _code_of(function: types.FunctionType) -> list[types.CodeType]:
-    """The code of a function, and of the functions and comprehensions inside it."""
-    found = [function.__code__]
-    for code in found:
-        found += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
-    return found
+@cache
+def _read_code(code: types.CodeType) -> tuple[list[str], str]:
+    """The names in the code of a function and of the functions and comprehensions inside it, and what tells it from others."""
+    found = [code]
+    for each in found:
+        found += [constant for constant in each.co_consts if isinstance(constant, types.CodeType)]
+    names = list(dict.fromkeys(name for each in found for name in each.co_names))
+    facts = [(each.co_code, each.co_names, each.co_varnames, _constants_of(each)) for each in found]
+    return names, hashlib.sha256(repr(facts).encode()).hexdigest()
 
 
 def _constants_of(code: types.CodeType) -> list[Any]:

@@ -78,15 +78,26 @@ def _compiled_once(function: Callable[..., Any], arguments: tuple[Any, ...]) -> 
     """The machine code, and the type that it returns."""
     try:
         copy = freeze(function)
-        key = (copy, tuple(typeof(argument) for argument in arguments))
+        key = (copy, _kind(arguments))
         with _lock:
             if key not in _compiled:
-                _compiled[key] = _compile(copy, key[1])
+                _compiled[key] = _compile(copy, tuple(map(typeof, arguments)))
         return _compiled[key]
     except CannotFreeze as error:
         raise CannotCompile(str(error)) from error
     except NumbaError as error:
         raise CannotCompile(_reason(error)) from error
+
+
+def _kind(argument: Any) -> Any:
+    """All that Numba's type of an argument depends on; faster to tell than the type itself, where records are in it."""
+    if isinstance(argument, tuple):
+        return type(argument), *map(_kind, argument)
+    if isinstance(argument, np.ndarray):
+        flags = argument.flags
+        layout = flags.c_contiguous, flags.f_contiguous, flags.writeable, flags.aligned
+        return type(argument), argument.dtype, argument.dtype.isalignedstruct, argument.ndim, layout
+    return typeof(argument)
 
 
 def _compile(function: types.FunctionType, signature: tuple[Any, ...]) -> tuple[Callable[..., Any], Any]:

@@ -1,5 +1,6 @@
 """How far a compiled rollout may run before a callback is due, and what the callbacks are told afterwards."""
 
+from collections.abc import Iterable
 from math import ceil, inf
 from typing import Any
 
@@ -15,17 +16,30 @@ from stable_baselines3.common.callbacks import (
 
 #: How many steps to search for the next multiple of a frequency that is not a whole number
 _FURTHEST = 1000
+_KNOWN = (EvalCallback, CheckpointCallback, EveryNTimesteps, StopTrainingOnMaxEpisodes, ProgressBarCallback)
 
 
-def steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> float:
+def callbacks_of_sb3(callback: BaseCallback) -> list[BaseCallback]:
     """
     :param callback: the callback that ``learn`` calls at every step
-    :param num_timesteps: environment steps taken
-    :param n_envs: the number of environments, so the environment steps of one call
-    :return: the number of further steps after which one of SB3's own callbacks in it acts, at least 1; infinite if none does
+    :return: those of SB3's own callbacks in it that act at some steps only, or that count them
     """
     if isinstance(callback, CallbackList):
-        return min((steps_until_due(each, num_timesteps, n_envs) for each in callback.callbacks), default=inf)
+        return [each for part in callback.callbacks for each in callbacks_of_sb3(part)]
+    return [callback] if isinstance(callback, _KNOWN) else []
+
+
+def steps_until_due(callbacks: Iterable[BaseCallback], num_timesteps: int, n_envs: int) -> float:
+    """
+    :param callbacks: from :func:`callbacks_of_sb3`
+    :param num_timesteps: environment steps taken
+    :param n_envs: the number of environments, so the environment steps of one call
+    :return: the number of further steps after which one of the callbacks acts, at least 1; infinite if none does
+    """
+    return min((_steps_until_due(each, num_timesteps, n_envs) for each in callbacks), default=inf)
+
+
+def _steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> float:
     if isinstance(callback, EvalCallback):
         return _steps_until_multiple(callback.n_calls, callback.eval_freq) if callback.eval_freq > 0 else inf
     if isinstance(callback, CheckpointCallback):
@@ -35,33 +49,28 @@ def steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> 
     return inf
 
 
-def episodes_until_due(callback: BaseCallback) -> float:
+def episodes_until_due(callbacks: Iterable[BaseCallback]) -> float:
     """
-    :param callback: the callback that ``learn`` calls at every step
-    :return: the number of further episodes after which one of SB3's own callbacks in it acts; infinite if none does
+    :param callbacks: from :func:`callbacks_of_sb3`
+    :return: the number of further episodes after which one of the callbacks acts, at least 1; infinite if none does
     """
-    if isinstance(callback, CallbackList):
-        return min((episodes_until_due(each) for each in callback.callbacks), default=inf)
-    if isinstance(callback, StopTrainingOnMaxEpisodes):
-        return max(callback._total_max_episodes - callback.n_episodes, 1)
-    return inf
+    limits = [each for each in callbacks if isinstance(each, StopTrainingOnMaxEpisodes)]
+    return min((max(each._total_max_episodes - each.n_episodes, 1) for each in limits), default=inf)
 
 
-def skip_steps(callback: BaseCallback, n_steps: int, n_envs: int) -> None:
+def skip_steps(callbacks: Iterable[BaseCallback], n_steps: int, n_envs: int) -> None:
     """
-    Advance the counts of SB3's own callbacks, as if each had been called at all these steps without acting.
+    Advance the counts of callbacks, as if each had been called at all these steps without acting.
 
-    :param callback: the callback that ``learn`` calls at every step
+    :param callbacks: from :func:`callbacks_of_sb3`
     :param n_steps: steps of every environment
     :param n_envs: the number of environments
     """
-    if isinstance(callback, CallbackList):
-        for each in callback.callbacks:
-            skip_steps(each, n_steps, n_envs)
-    elif isinstance(callback, EvalCallback | CheckpointCallback):
-        callback.n_calls += n_steps
-    elif isinstance(callback, ProgressBarCallback):
-        callback.pbar.update(n_steps * n_envs)
+    for callback in callbacks:
+        if isinstance(callback, EvalCallback | CheckpointCallback):
+            callback.n_calls += n_steps
+        elif isinstance(callback, ProgressBarCallback):
+            callback.pbar.update(n_steps * n_envs)
 
 
 def _steps_until_multiple(n_calls: int, frequency: Any) -> int:

@@ -15,7 +15,7 @@ from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, is_disabled, machine_code
 from sb3_adaptive_q.compiled.records import CONTROL, ENV, EPISODE
 from sb3_adaptive_q.random_numbers import read_pcg64, write_pcg64
-from sb3_adaptive_q.rollouts.callbacks_due import episodes_until_due, skip_steps, steps_until_due
+from sb3_adaptive_q.rollouts.callbacks_due import callbacks_of_sb3, episodes_until_due, skip_steps, steps_until_due
 from sb3_adaptive_q.rollouts.step_rollout import RolloutState, StepRollout
 from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
 
@@ -47,7 +47,7 @@ class CompiledRollout(StepRollout):
                 "A CompiledVecEnv needs Numba's compiler, which is disabled: please unset NUMBA_DISABLE_JIT, or use "
                 "LeanVecEnv."
             )
-        self.callback = callback
+        self.callbacks = callbacks_of_sb3(callback)
         self.compiled_envs = model.env.compile()
         self.dynamics = self.compiled_envs[0].dynamics
         n_envs = model.env.num_envs
@@ -98,7 +98,7 @@ class CompiledRollout(StepRollout):
         self._read_environments()
         n_steps = self._run(dones, max_steps, max_episodes)
         self._write_environments(n_steps)
-        skip_steps(self.callback, n_steps - 1, self.n_envs)
+        skip_steps(self.callbacks, n_steps - 1, self.n_envs)
         self.dones = self.envs["done"].tolist()
         self.infos = self._last_infos()
         self._hand_over_episodes()
@@ -206,9 +206,9 @@ class CompiledRollout(StepRollout):
     def _limits(self) -> tuple[int, int]:
         model = self.model
         episodes_left = model._total_episodes - model._episode_num
-        due = steps_until_due(self.callback, model.num_timesteps, self.n_envs)
+        due = steps_until_due(self.callbacks, model.num_timesteps, self.n_envs)
         max_steps = max(min(self.interval, self._steps_left(), due), 1)
-        max_episodes = max(min(episodes_left, episodes_until_due(self.callback), NO_LIMIT), 1)
+        max_episodes = max(min(episodes_left, episodes_until_due(self.callbacks), NO_LIMIT), 1)
         return int(max_steps), int(max_episodes)
 
     def _read_environments(self) -> None:

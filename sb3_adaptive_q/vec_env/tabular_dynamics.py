@@ -1,5 +1,7 @@
 """Dynamics of environments with a transition table ``P``, such as gymnasium's toy-text environments."""
 
+from collections import deque
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -24,8 +26,9 @@ OUTCOME = np.dtype(
 #: gymnasium's environments whose steps do nothing but draw from their tables
 _BY_TABLE = (FrozenLakeEnv, TaxiEnv, CliffWalkingEnv)
 
-#: The table read last for a class of environments, with what it was read from
-_tables: dict[type, tuple[Any, "TransitionTable"]] = {}
+#: The tables read last for a class of environments, each with what it was read from, and how many of them
+_tables: dict[type, deque[tuple[Any, "TransitionTable"]]] = {}
+_KEPT = 10
 
 #: Up to this number of outcomes, machine code is specialised for the number
 MOST_UNROLLED = 8
@@ -123,25 +126,21 @@ def steps_by_table(env: gym.Env) -> bool:
 def read_table(env: Any) -> TransitionTable:
     """
     :param env: an environment with ``P`` and ``initial_state_distrib``
-    :return: both as arrays; the arrays of the last call for its class if nothing has changed
+    :return: both as arrays; those of an earlier call for its class if nothing is different
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
-    contents = _contents(env)
-    known = _tables.get(type(env))
-    if known is not None and contents is not None and _are_equal(known[0], contents):
-        return known[1]
+    known = _tables.setdefault(type(env), deque(maxlen=_KEPT))
+    contents = _contents(env, env.P)
+    for others, table in known:
+        if _are_equal(contents, others):
+            return table
     table = _read_table(env)
-    if contents is not None:
-        _tables[type(env)] = (contents, table)
+    if isinstance(env.P, dict):
+        known.append((_contents(env, deepcopy(env.P)), table))
     return table
 
 
-def _contents(env: Any) -> Any:
-    """A copy of the contents of an environment's table; ``None`` if ``P`` is not a dict of dicts."""
-    try:
-        rows = {state: {action: list(outcomes) for action, outcomes in row.items()} for state, row in env.P.items()}
-    except (AttributeError, TypeError):
-        return None
+def _contents(env: Any, rows: Any) -> Any:
     sizes = getattr(env.observation_space, "n", None), getattr(env.action_space, "n", None)
     return rows, list(env.initial_state_distrib), sizes, repr(env.observation_space)
 
