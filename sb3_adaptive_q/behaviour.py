@@ -234,7 +234,7 @@ def linear(progress, initial, final, fraction):
     """
     if progress >= fraction:
         return final
-    return initial + (final - initial) * (progress / fraction)
+    return initial + (final - initial) / fraction * progress
 
 
 def exponential(progress, initial, final, fraction):

@@ -8,7 +8,7 @@ ordinary environment and the loops with a compiled one.
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.td_update import Agent, Memory, Transition
+from sb3_adaptive_q.algorithms.td_update import Agent, Memory, Transition, is_sound
 from sb3_adaptive_q.compiled.records import (
     Now,
     load_fixed,
@@ -38,7 +38,7 @@ def at_progress(step, progress):
     )  # fmt: skip
 
 
-def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one function of machine code
+def make_learn_one(update, size, rule, behaviour, explore):
     """
     :param update: the algorithm's update
     :param size: forms the step size of this update, as a :class:`Step`
@@ -49,7 +49,7 @@ def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one
     """
     choose, expect, best, _ = behaviour
 
-    def learn_one(tables, memory, fixed, now, num_timesteps, draws, t, env):  # noqa: C901
+    def learn_one(tables, memory, fixed, now, num_timesteps, draws, t, env):
         epsilon, progress, n_episodes = now.epsilon, now.progress, now.n_episodes
         if fixed.total_episodes == 0:
             progress = min(num_timesteps / max(fixed.total_timesteps, 1), 1.0)
@@ -65,19 +65,12 @@ def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one
                 if fixed.holds_epsilon == 0:
                     epsilon = explore(fixed, progress)
             action = choose(tables, t.start_state, epsilon, draws)
+        mu = now.mu if fixed.holds_mu != 0 else rule(now.mu, at_progress(step, progress), *memory.parameters)
         if t.done and fixed.resets_mu != 0:
             mu = fixed.mu_0
-        elif fixed.holds_mu != 0:
-            mu = now.mu
-        else:
-            mu = rule(now.mu, at_progress(step, progress), *memory.parameters)
         status = SOUND
-        if not 0.0 <= mu <= 1.0:
-            status = RULE_OUT_OF_RANGE
-        if not 0.0 <= step.size <= 1.0:
-            status = STEP_SIZE_OUT_OF_RANGE
-        if not epsilon >= 0.0:
-            status = EXPLORATION_OUT_OF_RANGE
+        if not (is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0):
+            status = cause_of_refusal(step, epsilon)
         now = Now(
             mu, epsilon, progress, n_episodes, now.n_updates + 1, now.mu_sum + step.size, min(now.mu_min, step.size),
             max(now.mu_max, step.size), now.td_error_sum + abs(step.td_error),
@@ -85,6 +78,13 @@ def make_learn_one(update, size, rule, behaviour, explore):  # noqa: C901  # one
         return action, status, now, step
 
     return learn_one
+
+
+def cause_of_refusal(step, epsilon):
+    """What was wrong where an update, the μ after it or the exploration rate is refused."""
+    if not epsilon >= 0.0:
+        return EXPLORATION_OUT_OF_RANGE
+    return RULE_OUT_OF_RANGE if is_sound(step) else STEP_SIZE_OUT_OF_RANGE
 
 
 def refuse(learner, status, now, step):
@@ -165,39 +165,43 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
 
     def single_loop(tables, memory, learner, draws, envs, dynamics, control, record):
         known = Memory(memory[0], memory[1], memory[2], memory[3], 0)
-        fixed, now, num_timesteps = load_fixed(learner[0]), load_now(learner[0]), learner[0].num_timesteps
+        fixed, now, steps_before = load_fixed(learner[0]), load_now(learner[0]), learner[0].num_timesteps
         generator, parameters = dynamics[1][0], name_parameters(*dynamics[2])
         place, env, (episodes, dones) = load_state(dynamics[0], 0), envs[0], record
         t, length, episode_return = load_transition(env), env.length, env.episode_return
         limit, max_steps, max_episodes = control[0].max_episode_steps, control[0].max_steps, control[0].max_episodes
         pending, status, n_steps, n_ended, n_states = control[0].pending != 0, SOUND, 0, 0, tables[0].shape[0]
+        only_learns = max_steps <= 0 or max_episodes <= 0
         while True:
             if pending:
+                num_timesteps = steps_before + n_steps
                 action, status, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, 0)
                 if status != SOUND:
                     refuse(learner[0], status, later, update)
                     break
                 now, t = later, go_on(t, action)
             pending = False
-            if max_steps <= 0 or max_episodes <= 0:
+            if only_learns:
                 break
             place, t, length, episode_return = env_step(parameters, place, generator, t, length, episode_return, limit)
             if t.done:
                 dones[n_steps, 0] = True
                 note_episode(episodes[n_ended], length, episode_return, now, 0)
                 length, episode_return, n_ended = 0, 0.0, n_ended + 1
-            num_timesteps, n_steps = num_timesteps + 1, n_steps + 1
+                if n_ended >= max_episodes:
+                    max_steps = n_steps + 1
+            n_steps += 1
             status = check(t.next_state, t.start_state, t.reward, n_states)
             if status != SOUND:
                 break
             pending = True
-            if n_steps >= max_steps or n_ended >= max_episodes:
+            if n_steps >= max_steps:
                 break
         store_transition(env, t)
         env.length, env.episode_return = length, episode_return
         store_state(dynamics[0], 0, place)
         store_now(learner[0], now)
-        learner[0].num_timesteps = num_timesteps
+        learner[0].num_timesteps = steps_before + n_steps
         store_control(control[0], pending, status, n_steps, n_ended, 0)
 
     return single_loop
