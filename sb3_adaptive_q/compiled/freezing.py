@@ -69,9 +69,8 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     )
     closure, cell_keys = _split({name: _freeze_value(name, cell.cell_contents, names) for name, cell in cells})
     decides = [
-        INLINED, OPTIONS, bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
-        _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__),
-        text,
+        bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
+        _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__), text,
     ]  # fmt: skip
     name = f"{original.__name__}_{hashlib.sha256(repr(decides).encode()).hexdigest()[:20]}"
     known = getattr(frozen, name, None)
@@ -139,13 +138,16 @@ def _options_of(function: Any) -> list[tuple[str, Any]]:
 
 @cache
 def _read_code(code: types.CodeType) -> tuple[list[str], str]:
-    """The names in the code of a function and of the functions and comprehensions inside it, and what tells it from others."""
+    """
+    The names in the code of a function and of the functions and comprehensions inside it, and a digest of that code and of how
+    it is compiled.
+    """
     found = [code]
     for each in found:
         found += [constant for constant in each.co_consts if isinstance(constant, types.CodeType)]
     names = list(dict.fromkeys(name for each in found for name in each.co_names))
     facts = [(each.co_code, each.co_names, each.co_varnames, _constants_of(each)) for each in found]
-    return names, hashlib.sha256(repr(facts).encode()).hexdigest()
+    return names, hashlib.sha256(repr((INLINED, OPTIONS, facts)).encode()).hexdigest()
 
 
 def _constants_of(code: types.CodeType) -> list[Any]:

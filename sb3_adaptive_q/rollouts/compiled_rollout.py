@@ -263,6 +263,8 @@ class CompiledRollout(StepRollout):
 
     def _episode_infos(self, start: int, stop: int) -> list[tuple[int, dict[str, Any]]]:
         """Episodes of the rollout, each with the number of its environment, as the Monitors would give them."""
+        if start == stop:
+            return []
         rows = self.episodes[start:stop]
         columns = (rows["env"], rows["episode_return"], rows["length"])
         times = [each.seconds for each in self.compiled_envs]
@@ -275,7 +277,8 @@ class CompiledRollout(StepRollout):
 
 def _round_as_monitor(returns: np.ndarray) -> np.ndarray:
     """Round to six decimals as Python does, because NumPy sometimes rounds otherwise. Whole numbers need no rounding."""
-    rounded = returns.copy()
-    for i in np.flatnonzero(returns != np.rint(returns)):
-        rounded[i] = round(float(returns[i]), 6)
+    rounded = np.rint(returns)
+    if not (rounded == returns).all():
+        for i in np.flatnonzero(rounded != returns):
+            rounded[i] = round(float(returns[i]), 6)
     return rounded
