@@ -63,11 +63,10 @@ def freeze(function: Callable[..., Any]) -> types.FunctionType:
 
 def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types.FunctionType:
     names, text = _read_code(original.__code__)
-    cells = zip(original.__code__.co_freevars, original.__closure__ or (), strict=True)
-    scope, keys = _split(
-        {name: _freeze_value(name, original.__globals__[name], names) for name in names if name in original.__globals__}
-    )
-    closure, cell_keys = _split({name: _freeze_value(name, cell.cell_contents, names) for name, cell in cells})
+    in_scope, cells = original.__globals__, original.__closure__ or ()
+    scope, keys = _freeze_values({name: in_scope[name] for name in names if name in in_scope}, names)
+    contents = [cell.cell_contents for cell in cells]
+    closure, cell_keys = _freeze_values(dict(zip(original.__code__.co_freevars, contents, strict=True)), names)
     decides = [
         bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
         _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__), text,
@@ -87,10 +86,13 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     return copy
 
 
-def _split(frozen_values: dict[str, tuple[Any, Any]]) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
-    """The values by name, and what tells each from every other."""
-    values = {name: value for name, (value, _) in frozen_values.items()}
-    return values, [(name, key) for name, (_, key) in frozen_values.items()]
+def _freeze_values(values: dict[str, Any], names: list[str]) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    """The values as the copy shall have them, by name, and what tells each from every other."""
+    frozen_values, keys = {}, []
+    for name, value in values.items():
+        frozen_values[name], key = _freeze_value(name, value, names)
+        keys.append((name, key))
+    return frozen_values, keys
 
 
 def _freeze_value(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
@@ -108,12 +110,12 @@ def _freeze_value(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
         # Compiled by the user, with options of its own: it stays as it is, and may call itself
         return value, _being_copied.index(helper) if helper in _being_copied else freeze(value).__name__
     if isinstance(value, types.ModuleType) and not _is_foreign(value.__name__):
-        held = {
-            other: _freeze_value(f"{name}.{other}", getattr(value, other), [each for each in names if each != other])
-            for other in names
-            if getattr(value, other, value) is not value
-        }
-        contents, keys = _split(held)
+        held = {other: getattr(value, other) for other in names if getattr(value, other, value) is not value}
+        contents, keys = {}, []
+        for other, part in held.items():
+            # Without its own name, because modules may hold each other
+            contents[other], key = _freeze_value(f"{name}.{other}", part, [each for each in names if each != other])
+            keys.append((other, key))
         copy_of_module = types.ModuleType(value.__name__)
         vars(copy_of_module).update(contents)
         return copy_of_module, (value.__name__, keys)
@@ -133,7 +135,8 @@ def _plain_function(value: Any) -> types.FunctionType | None:
 
 
 def _options_of(function: Any) -> list[tuple[str, Any]]:
-    return sorted(getattr(function, "targetoptions", {}).items())
+    options = getattr(function, "targetoptions", None)
+    return sorted(options.items()) if options else []
 
 
 @cache

@@ -11,6 +11,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 from sb3_adaptive_q.envs.tables import Start, Table
 from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env import Dynamics
+from sb3_adaptive_q.vec_env.readings import Readings
 
 
 class HiddenChangeEnv(gym.Env[Any, Any]):
@@ -70,6 +71,9 @@ class HiddenChangeEnv(gym.Env[Any, Any]):
         raise NotImplementedError
 
 
+_readings = Readings(most=20)
+
+
 class OutcomeArrays(NamedTuple):
     """
     Tables of one shape as arrays, from which plain functions draw the outcomes that gymnasium draws from the tables.
@@ -94,8 +98,12 @@ class OutcomeArrays(NamedTuple):
         Write tables as arrays.
 
         :param tables: of one shape
-        :return: the arrays
+        :return: the arrays, the same ones as long as the tables stay equal
         """
+        return _readings.get(tables, lambda: cls._read(tables))
+
+    @classmethod
+    def _read(cls, tables: list[Table]) -> "OutcomeArrays":
         rows = [row for table in tables for state in table.values() for row in state.values()]
         width = max(len(row) for row in rows) + 1
         shape = (len(tables), len(tables[0]), len(tables[0][0]), width)

@@ -1,8 +1,11 @@
 """What the figures of all experiments share, besides the style of all pictures."""
 
+import gc
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
+from joblib import Parallel, cpu_count, delayed
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from PIL import Image
@@ -14,6 +17,18 @@ MARKERS = "osD^vPX*<>hp"
 RESOLUTION = 150
 
 
+class Picture(NamedTuple):
+    """
+    :param name: of its file, without the ending
+    :param caption: what it shows
+    :param make: makes the figure; another process may call it
+    """
+
+    name: str
+    caption: str
+    make: Callable[[], Figure]
+
+
 def line_style(i: int) -> dict[str, Any]:
     """
     :param i: the place of a curve among those of a figure
@@ -21,6 +36,32 @@ def line_style(i: int) -> dict[str, Any]:
     """
     color, line = COLORS[i // 2 % len(COLORS)], i % 2 + 2 * (i // (2 * len(COLORS)) % 2)
     return {"color": color, "linestyle": LINE_STYLES[line]}
+
+
+def render_all(
+    pictures: Iterable[Picture], kinds: Sequence[str], workers: int | None, mark: str = ""
+) -> Iterator[list[bytes]]:
+    """
+    Render pictures in processes of their own: most of an experiment's outputs would wait for them.
+
+    :param pictures: the pictures
+    :param kinds: ``"png"``, ``"pdf"`` or both
+    :param workers: the number of processes; ``None``: one for each core; with 1 it is this one
+    :param mark: what stands in the corner of each
+    :return: for each picture, the contents of its files
+    """
+    parallel = Parallel(n_jobs=workers or cpu_count(), return_as="generator")
+    yield from parallel(delayed(_render_kinds)(picture.make, kinds, mark) for picture in pictures)
+
+
+def _render_kinds(make: Callable[[], Figure], kinds: Sequence[str], mark: str) -> list[bytes]:
+    figure = make()
+    if mark:
+        figure.text(0.005, 0.995, mark, ha="left", va="top", fontsize="small")
+    contents = [render(figure, kind) for kind in kinds]
+    del figure
+    gc.collect()  # figures are full of reference cycles, and would pile up to a GiB
+    return contents
 
 
 def render(figure: Figure, kind: str) -> bytes:

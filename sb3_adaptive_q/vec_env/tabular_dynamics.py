@@ -1,7 +1,5 @@
 """Dynamics of environments with a transition table ``P``, such as gymnasium's toy-text environments."""
 
-from collections import deque
-from copy import deepcopy
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -14,6 +12,7 @@ from gymnasium.envs.toy_text.taxi import TaxiEnv
 from sb3_adaptive_q.compiled.loops import check_nothing
 from sb3_adaptive_q.random_numbers import random_float
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid
+from sb3_adaptive_q.vec_env.readings import Readings
 
 #: A VecEnv returns rewards as float32
 LARGEST_REWARD = float(np.finfo(np.float32).max)
@@ -26,9 +25,8 @@ OUTCOME = np.dtype(
 #: gymnasium's environments whose steps do nothing but draw from their tables
 _BY_TABLE = (FrozenLakeEnv, TaxiEnv, CliffWalkingEnv)
 
-#: The tables read last for a class of environments, each with what it was read from, and how many of them
-_tables: dict[type, deque[tuple[Any, "TransitionTable"]]] = {}
-_KEPT = 10
+#: By the class of the environment
+_readings: dict[type, Readings] = {}
 
 #: Up to this number of outcomes, machine code is specialised for the number
 MOST_UNROLLED = 8
@@ -129,27 +127,11 @@ def read_table(env: Any) -> TransitionTable:
     :return: both as arrays; those of an earlier call for its class if nothing is different
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
-    known = _tables.setdefault(type(env), deque(maxlen=_KEPT))
-    contents = _contents(env, env.P)
-    for others, table in known:
-        if _are_equal(contents, others):
-            return table
-    table = _read_table(env)
-    if isinstance(env.P, dict):
-        known.append((_contents(env, deepcopy(env.P)), table))
-    return table
-
-
-def _contents(env: Any, rows: Any) -> Any:
+    if not isinstance(env.P, dict):
+        return _read_table(env)
     sizes = getattr(env.observation_space, "n", None), getattr(env.action_space, "n", None)
-    return rows, list(env.initial_state_distrib), sizes, repr(env.observation_space)
-
-
-def _are_equal(contents: Any, others: Any) -> bool:
-    try:
-        return bool(contents == others)
-    except ValueError:  # an array among the numbers
-        return False
+    contents = env.P, list(env.initial_state_distrib), sizes, repr(env.observation_space)
+    return _readings.setdefault(type(env), Readings()).get(contents, lambda: _read_table(env))
 
 
 def _read_table(env: Any) -> TransitionTable:

@@ -1,6 +1,6 @@
 """The figures of a league."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -187,28 +187,31 @@ def wins_figure(rows: Sequence[Standing], labels: Sequence[str], wins: Sequence[
     return figure
 
 
-def sensitivity_figures(track: Track, tuning: Places) -> Iterator[tuple[Contestant, Figure]]:
+def free_parameters(rule: Contestant) -> list[str]:
+    """
+    :param rule: a contestant
+    :return: the parameters that its settings differ in
+    """
+    return [name for name in rule.settings[0] if len({each[name] for each in rule.settings}) > 1]
+
+
+def sensitivity_figure(track: Track, rule: int, tuning: Places) -> Figure:
     """
     Scores against the first parameter that varies, from the tuning runs.
 
     :param track: a track
-    :param tuning: its tuning runs
-    :return: a figure for each rule that has more than one setting
+    :param rule: the index of one of its contestants, which has more than one setting
+    :param tuning: the tuning runs of the track
+    :return: the figure
     """
+    contestant = track.contestants[rule]
+    first, *others = free_parameters(contestant)
     scale = prediction_scale(track, tuning) if track.name == "C" else [1.0] * len(track.tasks)
-    for i, rule in enumerate(track.contestants):
-        free = [name for name in rule.settings[0] if len({each[name] for each in rule.settings}) > 1]
-        if free:
-            yield rule, _sensitivity_figure(track, (i, free), tuning, scale)
-
-
-def _sensitivity_figure(track: Track, chosen: tuple[int, list[str]], tuning: Places, scale: Sequence[float]) -> Figure:
-    rule, (first, *others) = track.contestants[chosen[0]], chosen[1]
     figure, axes = _panels([task.name for task in track.tasks], "score (mean of the tuning runs)")
-    x = np.array([each[first] for each in rule.settings], float)
-    lines = [tuple(each[name] for name in others) for each in rule.settings]
+    x = np.array([each[first] for each in contestant.settings], float)
+    lines = [tuple(each[name] for name in others) for each in contestant.settings]
     for k, axis in enumerate(axes):
-        runs = np.stack([anytime(track, tuning[chosen[0], j, k], scale[k]) for j in range(len(x))])
+        runs = np.stack([anytime(track, tuning[rule, j, k], scale[k]) for j in range(len(x))])
         draws = _draws(runs.shape[1])
         for i, line in enumerate(dict.fromkeys(lines)):
             of_line = sorted((j for j in range(len(x)) if lines[j] == line), key=lambda j: x[j])
@@ -216,6 +219,7 @@ def _sensitivity_figure(track: Track, chosen: tuple[int, list[str]], tuning: Pla
             axis.plot(x[of_line], runs[of_line].mean(axis=1), marker=".", label=text if k == 0 else None, **style)
             axis.fill_between(x[of_line], *band(draws @ runs[of_line].T), color=style["color"], alpha=0.15, linewidth=0)
         _set_log_axis(axis, x)
+    figure.suptitle(contestant.label, fontsize="medium")
     figure.supxlabel(first, fontsize="small")
     if others:
         figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize="small")

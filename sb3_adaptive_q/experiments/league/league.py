@@ -34,7 +34,7 @@ def run_league(settings: LeagueSettings, execution: Execution) -> str:
     from sb3_adaptive_q.experiments.league.report import write_outputs
 
     _write_runs(settings, folder, played)
-    return write_outputs(settings, folder, played, seconds)
+    return write_outputs(settings, folder, played, seconds, execution.workers)
 
 
 def play(settings: LeagueSettings, track: Track, folder: ResultFolder, execution: Execution) -> Played:

@@ -1,18 +1,17 @@
 """The report of a league, in Markdown and as a page, with its figures and tables."""
 
-import gc
 import platform
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
 from joblib import cpu_count
-from matplotlib.figure import Figure
 
-from sb3_adaptive_q.experiments.drawing import render
+from sb3_adaptive_q.experiments.drawing import Picture, render_all
 from sb3_adaptive_q.experiments.league.analysis import (
     Played,
     Scores,
@@ -25,9 +24,10 @@ from sb3_adaptive_q.experiments.league.analysis import (
 from sb3_adaptive_q.experiments.league.figures import (
     curves_figure,
     environments_figure,
+    free_parameters,
     plane_figure,
     profiles_figure,
-    sensitivity_figures,
+    sensitivity_figure,
     wins_figure,
 )
 from sb3_adaptive_q.experiments.league.findings import findings, paper_finding
@@ -97,7 +97,9 @@ class Analysed(NamedTuple):
         return self.played.track
 
 
-def write_outputs(settings: LeagueSettings, folder: ResultFolder, played: Sequence[Played], seconds: float) -> str:
+def write_outputs(
+    settings: LeagueSettings, folder: ResultFolder, played: Sequence[Played], seconds: float, workers: int | None = None
+) -> str:
     """
     Write the report, its figures and its tables.
 
@@ -105,11 +107,12 @@ def write_outputs(settings: LeagueSettings, folder: ResultFolder, played: Sequen
     :param folder: of the league
     :param played: its tracks
     :param seconds: how long this start took to run what was missing
+    :param workers: the processes that draw; ``None``: one for each core
     :return: the summary of the report
     """
     order = list(TITLES)
     analysed = sorted((analyse(each, settings.resamples) for each in played), key=lambda each: order.index(each.track.name))
-    sections = [_section(settings, folder, each) for each in analysed]
+    sections = [_section(settings, folder, each, workers) for each in analysed]
     summary = _summary(settings, analysed[0])
     report = "\n\n".join([summary, *sections, _how_to_repeat(settings, seconds)]) + "\n"
     folder.write("league.yml", (files("sb3_adaptive_q.experiments.league") / "league.yml").read_bytes())
@@ -141,7 +144,7 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed) -> str:
+def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed, workers: int | None) -> str:
     track, mark = analysed.track, QUICK if settings.quick else ""
     wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(settings.resamples, 1000))
     tables = {
@@ -161,27 +164,32 @@ def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed)
     labels = [rule.label for rule in track.contestants]
     matrix = pd.DataFrame([[each.value for each in row] for row in wins], index=labels, columns=labels)
     folder.write(f"tables/{track.name}_wins.csv", matrix.to_csv())
-    for name, caption, figure in _figures(analysed, wins):
-        if settings.quick:
-            figure.text(0.005, 0.995, "quick look", ha="left", va="top", fontsize="small")
-        path = f"figures/{track.name}_{file_name(name)}.png"
-        folder.write(path, render(figure, "png"))
-        gc.collect()  # figures are full of reference cycles
-        parts.append(f"![{caption}{mark}]({path})")
+    pictures = _pictures(analysed, wins)
+    contents = render_all(pictures, ["png"], workers, "quick look" if settings.quick else "")
+    for picture, (content,) in zip(pictures, contents, strict=True):
+        path = f"figures/{track.name}_{picture.name}.png"
+        folder.write(path, content)
+        parts.append(f"![{picture.caption}{mark}]({path})")
     return "\n\n".join(part for part in parts if part)
 
 
-def _figures(analysed: Analysed, wins: list[list[Estimate]]) -> Iterator[tuple[str, str, Figure]]:
-    track, rows, scores = analysed.track, analysed.rows, analysed.scores[CHOICES[0]]
-    yield "plane", "Performance against sensitivity", plane_figure(track, rows, analysed.sensitivities)
-    yield "curves", "Learning over all environments", curves_figure(track, scores, rows)
-    yield "environments", "Learning in each environment", environments_figure(track, scores, rows)
-    yield "wins", "Matrix of wins", wins_figure(rows, [rule.label for rule in track.contestants], wins)
-    yield "profiles", "Performance profiles", profiles_figure(track, scores, rows)
-    if track.name != "algorithms":
-        for rule, figure in sensitivity_figures(track, analysed.played.tuning):
-            figure.suptitle(rule.label, fontsize="medium")
-            yield f"sensitivity_{rule.label}", f"Score of {rule.label} against its parameter", figure
+def _pictures(analysed: Analysed, wins: list[list[Estimate]]) -> list[Picture]:
+    track, rows, scores, tuning = analysed.track, analysed.rows, analysed.scores[CHOICES[0]], analysed.played.tuning
+    labels = [rule.label for rule in track.contestants]
+    pictures = [
+        Picture("plane", "Performance against sensitivity", partial(plane_figure, track, rows, analysed.sensitivities)),
+        Picture("curves", "Learning over all environments", partial(curves_figure, track, scores, rows)),
+        Picture("environments", "Learning in each environment", partial(environments_figure, track, scores, rows)),
+        Picture("wins", "Matrix of wins", partial(wins_figure, rows, labels, wins)),
+        Picture("profiles", "Performance profiles", partial(profiles_figure, track, scores, rows)),
+    ]
+    if track.name == "algorithms":
+        return pictures
+    for i, label in enumerate(labels):
+        if free_parameters(track.contestants[i]):
+            name, caption = file_name(f"sensitivity_{label}"), f"Score of {label} against its parameter"
+            pictures.append(Picture(name, caption, partial(sensitivity_figure, track, i, tuning)))
+    return pictures
 
 
 def standings_table(analysed: Analysed) -> pd.DataFrame:
