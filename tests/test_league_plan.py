@@ -117,7 +117,7 @@ def test_cells_of_another_league_have_other_names() -> None:
         cell for place in ((0, 0, 0), (0, 1, 0), (1, 0, 0), (0, 0, 1)) for cell in cells_of(SMALL, track, place, "tuning")
     ]
     cells += cells_of(SMALL, track, (0, 0, 0), "evaluation")
-    assert len({cell.key for cell in cells}) == len(cells) == 4 * 2 + 20
+    assert len({cell.key for cell in cells}) == len(cells) == 4 + 5  # of twenty runs each, or fewer
     quick = LeagueSettings(tracks=("B",), methods=SMALL.methods, environments=SMALL.environments, quick=True)
     assert cells_of(quick, track_of(quick, "B"), (0, 0, 0), "tuning")[0].key != cells[0].key
 
@@ -129,7 +129,7 @@ def test_cells_do_not_depend_on_what_else_takes_part() -> None:
     place = ([rule.label for rule in together.contestants].index("autostep"), 3, 1)
     second = cells_of(more, together, place, "evaluation")
     assert alone.contestants[2].label == "autostep"
-    assert [cell.key for cell in first] == [cell.key for cell in second][:20] and len(second) == 40
+    assert [cell.key for cell in first] == [cell.key for cell in second][:5] and len(second) == 10
 
 
 def test_references_always_take_part() -> None:

@@ -1,7 +1,7 @@
 """What the figures of all experiments share, besides the style of all pictures."""
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from typing import Any, NamedTuple
 
@@ -38,30 +38,27 @@ def line_style(i: int) -> dict[str, Any]:
     return {"color": color, "linestyle": LINE_STYLES[line]}
 
 
-def render_all(
-    pictures: Iterable[Picture], kinds: Sequence[str], workers: int | None, mark: str = ""
-) -> Iterator[list[bytes]]:
+def render_all(pictures: Iterable[Picture], workers: int | None, mark: str = "") -> Iterator[bytes]:
     """
-    Render pictures in processes of their own: most of an experiment's outputs would wait for them.
+    Render many pictures, in processes of their own.
 
     :param pictures: the pictures
-    :param kinds: ``"png"``, ``"pdf"`` or both
     :param workers: the number of processes; ``None``: one for each core; with 1 it is this one
     :param mark: what stands in the corner of each
-    :return: for each picture, the contents of its files
+    :return: for each picture the content of its PNG file
     """
     parallel = Parallel(n_jobs=workers or cpu_count(), return_as="generator")
-    yield from parallel(delayed(_render_kinds)(picture.make, kinds, mark) for picture in pictures)
+    yield from parallel(delayed(_render_marked)(picture.make, mark) for picture in pictures)
 
 
-def _render_kinds(make: Callable[[], Figure], kinds: Sequence[str], mark: str) -> list[bytes]:
+def _render_marked(make: Callable[[], Figure], mark: str) -> bytes:
     figure = make()
     if mark:
         figure.text(0.005, 0.995, mark, ha="left", va="top", fontsize="small")
-    contents = [render(figure, kind) for kind in kinds]
+    content = render(figure, "png")
     del figure
     gc.collect()  # figures are full of reference cycles, and would pile up to a GiB
-    return contents
+    return content
 
 
 def render(figure: Figure, kind: str) -> bytes:

@@ -165,8 +165,8 @@ def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed,
     matrix = pd.DataFrame([[each.value for each in row] for row in wins], index=labels, columns=labels)
     folder.write(f"tables/{track.name}_wins.csv", matrix.to_csv())
     pictures = _pictures(analysed, wins)
-    contents = render_all(pictures, ["png"], workers, "quick look" if settings.quick else "")
-    for picture, (content,) in zip(pictures, contents, strict=True):
+    contents = render_all(pictures, workers, "quick look" if settings.quick else "")
+    for picture, content in zip(pictures, contents, strict=True):
         path = f"figures/{track.name}_{picture.name}.png"
         folder.write(path, content)
         parts.append(f"![{picture.caption}{mark}]({path})")
