@@ -5,6 +5,9 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays as numpy_arrays
 from statsmodels.stats.multitest import multipletests
 
 from sb3_adaptive_q.experiments.statistics import (
@@ -12,6 +15,7 @@ from sb3_adaptive_q.experiments.statistics import (
     aggregates,
     area_over_grid,
     bootstrap,
+    bootstrap_aggregates,
     compare_with,
     effective_dimension,
     holm,
@@ -101,6 +105,17 @@ def test_bootstrap_draws_runs_within_each_task() -> None:
 def test_bootstrap_keeps_the_seeds_of_two_rules_together() -> None:
     for batch in resampled(np.stack([HAND, BETTER]), 50):
         assert np.array_equal(batch[:, 1] - batch[:, 0], np.broadcast_to([1.0, 0.0], batch[:, 0].shape))
+
+
+@given(
+    numpy_arrays(float, st.tuples(st.integers(1, 4), st.integers(1, 7), st.integers(1, 5)), elements=st.floats(-3.0, 3.0)),
+    st.integers(1, 150),
+)
+@settings(max_examples=60, deadline=None)
+def test_counted_samples_have_the_aggregates_of_copied_ones(scores: np.ndarray, resamples: int) -> None:
+    np.testing.assert_allclose(
+        bootstrap_aggregates(scores, resamples), bootstrap(scores, aggregates, resamples), rtol=0.0, atol=1e-12
+    )
 
 
 def test_bootstrap_of_the_mean_has_the_variance_of_theory() -> None:

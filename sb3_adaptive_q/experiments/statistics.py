@@ -89,12 +89,17 @@ def resampled(scores: np.ndarray, resamples: int, seed: int = BOOTSTRAP_SEED) ->
     :param seed: of the draws
     :return: them in batches of shape (batch, rules, runs, tasks)
     """
+    columns = np.arange(scores.shape[2])
+    for rows in _drawn_runs(scores.shape, resamples, seed):
+        yield np.stack([of_rule[rows, columns] for of_rule in scores], axis=1)
+
+
+def _drawn_runs(shape: tuple[int, ...], resamples: int, seed: int) -> Iterator[np.ndarray]:
+    """Which runs of every task are drawn, in batches of shape (batch, runs, tasks)."""
     generator = np.random.default_rng(seed)
-    rules, runs, tasks = scores.shape
-    columns = np.arange(tasks)
+    _, runs, tasks = shape
     for start in range(0, resamples, BATCH):
-        rows = generator.integers(runs, size=(min(BATCH, resamples - start), runs, tasks))
-        yield np.stack([scores[rule][rows, columns] for rule in range(rules)], axis=1)
+        yield generator.integers(runs, size=(min(BATCH, resamples - start), runs, tasks))
 
 
 def bootstrap(scores: np.ndarray, statistic: Statistic, resamples: int) -> np.ndarray:
@@ -132,6 +137,36 @@ def aggregates(scores: np.ndarray) -> np.ndarray:
     :return: interquartile mean, mean and optimality gap, of shape (..., 3)
     """
     return np.stack([interquartile_mean(scores), mean(scores), optimality_gap(scores)], axis=-1)
+
+
+def bootstrap_aggregates(scores: np.ndarray, resamples: int) -> np.ndarray:
+    """
+    The same as :func:`bootstrap` of :func:`aggregates`, up to rounding, in a quarter of the time: the runs of a sample are
+    counted instead of copied, and those of each rule are sorted once.
+
+    :param scores: finite, of shape (rules, runs, tasks)
+    :param resamples: how many
+    :return: interquartile mean, mean and optimality gap of every bootstrap sample, of shape (resamples, rules, 3)
+    """
+    _, runs, tasks = scores.shape
+    flat, size = scores.reshape(len(scores), -1), runs * tasks
+    orders = flat.argsort(axis=1)
+    samples = []
+    for rows in _drawn_runs(scores.shape, resamples, BOOTSTRAP_SEED):
+        places = rows * tasks + np.arange(tasks) + size * np.arange(len(rows))[:, None, None]
+        counts = np.bincount(places.ravel(), minlength=len(rows) * size).reshape(-1, size).astype(float)
+        middles = [_middle_mean(counts[:, order], values[order]) for order, values in zip(orders, flat, strict=True)]
+        gaps = 1.0 - counts @ np.minimum(flat, 1.0).T / size
+        samples.append(np.stack([np.stack(middles, axis=1), counts @ flat.T / size, gaps], axis=-1))
+    return np.concatenate(samples)
+
+
+def _middle_mean(counts: np.ndarray, ordered: np.ndarray) -> np.ndarray:
+    """The mean of the middle half of samples, of shape (samples,), by how often each of the ordered scores is in them."""
+    size = len(ordered)
+    cut = size // 4
+    inside = np.diff(np.clip(counts.cumsum(axis=1), cut, size - cut), axis=1, prepend=float(cut))
+    return inside @ ordered / (size - 2 * cut)
 
 
 def compare_with(reference: int, values: np.ndarray, samples: np.ndarray) -> dict[int, Comparison]:

@@ -22,7 +22,7 @@ from sb3_adaptive_q.experiments.statistics import (
     Estimate,
     aggregates,
     area_over_grid,
-    bootstrap,
+    bootstrap_aggregates,
     compare_with,
     effective_dimension,
     interquartile_mean,
@@ -181,7 +181,7 @@ def standings(track: Track, scores: Scores, resamples: int) -> list[Standing]:
     :param resamples: of the bootstrap
     :return: every rule, the best first
     """
-    values, samples = aggregates(scores.anytime), bootstrap(scores.anytime, aggregates, resamples)
+    values, samples = aggregates(scores.anytime), bootstrap_aggregates(scores.anytime, resamples)
     ranks = rank_intervals(values[:, 0], samples[..., 0])
     final, online = (_estimates(part, resamples) for part in (scores.final, scores.online))
     comparisons = _comparisons(track, values[:, 0], samples[..., 0])
@@ -214,7 +214,7 @@ def _comparisons(track: Track, values: np.ndarray, samples: np.ndarray) -> dict[
 def _estimates(scores: np.ndarray, resamples: int) -> list[Estimate]:
     if not scores.shape[-1]:
         return [NOTHING] * len(scores)
-    values, samples = interquartile_mean(scores), bootstrap(scores, interquartile_mean, resamples)
+    values, samples = interquartile_mean(scores), bootstrap_aggregates(scores, resamples)[..., 0]
     return [interval(float(value), samples[:, i]) for i, value in enumerate(values)]
 
 

@@ -17,6 +17,7 @@ from sb3_adaptive_q.experiments.statistics import (
     Estimate,
     band,
     bootstrap,
+    bootstrap_aggregates,
     interquartile_mean,
     performance_profile,
 )
@@ -93,7 +94,7 @@ def curves_figure(track: Track, scores: Scores, rows: Sequence[Standing]) -> Fig
     chosen = [labels.index(label) for label in shown(rows)]
     x = np.arange(1, len(scores.curves) + 1) / len(scores.curves)
     values = np.stack([interquartile_mean(at[chosen]) for at in scores.curves])
-    samples = np.stack([bootstrap(at[chosen], interquartile_mean, BAND_RESAMPLES) for at in scores.curves], axis=1)
+    samples = np.stack([bootstrap_aggregates(at[chosen], BAND_RESAMPLES)[..., 0] for at in scores.curves], axis=1)
     for i, rule in enumerate(chosen):
         style = line_style(i)
         axis.plot(x, values[:, i], label=labels[rule], linewidth=1.5, **style)

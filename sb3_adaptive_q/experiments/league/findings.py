@@ -6,7 +6,7 @@ from sb3_adaptive_q import METHODS
 from sb3_adaptive_q.experiments.league.analysis import Scores, Standing, of_tasks, standings
 from sb3_adaptive_q.experiments.league.settings import Track
 from sb3_adaptive_q.experiments.names import method_label
-from sb3_adaptive_q.experiments.statistics import SIGNIFICANCE, bootstrap, compare_with, interquartile_mean
+from sb3_adaptive_q.experiments.statistics import SIGNIFICANCE, bootstrap_aggregates, compare_with, interquartile_mean
 from sb3_adaptive_q.experiments.text import format_estimate, join
 
 #: How a kind of environments is called at the beginning of a sentence
@@ -56,7 +56,7 @@ def _with_comparisons(row: Standing) -> str:
 
 def _not_told_apart(track: Track, scores: Scores, label: str, resamples: int) -> list[str]:
     labels = [rule.label for rule in track.contestants]
-    values, samples = interquartile_mean(scores.anytime), bootstrap(scores.anytime, interquartile_mean, resamples)
+    values, samples = interquartile_mean(scores.anytime), bootstrap_aggregates(scores.anytime, resamples)[..., 0]
     compared = compare_with(labels.index(label), values, samples)
     return [labels[i] for i, comparison in compared.items() if not comparison.is_significant]
 

@@ -39,7 +39,7 @@ from sb3_adaptive_q.experiments.page import html_page
 from sb3_adaptive_q.experiments.statistics import (
     Comparison,
     Estimate,
-    bootstrap,
+    bootstrap_aggregates,
     improvement_matrix,
     interquartile_mean,
     interval,
@@ -232,7 +232,7 @@ def _choices_table(analysed: Analysed, settings: LeagueSettings) -> pd.DataFrame
     columns = {}
     for choice, scores in analysed.scores.items():
         values = interquartile_mean(scores.anytime)
-        samples = bootstrap(scores.anytime, interquartile_mean, settings.resamples)
+        samples = bootstrap_aggregates(scores.anytime, settings.resamples)[..., 0]
         columns[choice] = [interval(float(value), samples[:, i]) for i, value in enumerate(values)]
     labels = [rule.label for rule in analysed.track.contestants]
     return pd.DataFrame(
