@@ -1,5 +1,7 @@
 """What a cell of the league measures, against ordinary learning, rollouts in gymnasium, and closed forms."""
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -141,6 +143,16 @@ def test_greedy_episodes_are_those_of_a_model_that_learns_nothing() -> None:
         table = np.random.default_rng(seed).normal(size=(11**4, 2))
         assert in_machine_code(table).tolist() == ordinary(table).tolist()
     assert len(set(in_machine_code(table))) > 10
+
+
+@pytest.mark.parametrize(("environment", "scale"), [("chain", None), (f"{OWN}CountingEnv", [0.0, 4.0])])
+def test_no_folder_is_made_for_a_log(
+    environment: str, scale: list[float] | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SB3 makes a temporary one at every ``learn``: a whole league would leave hundreds of thousands."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    measure_control(recipe(environment, scale=scale, steps=50, seeds=[0, 1]))
+    assert not list(tmp_path.iterdir())
 
 
 def test_rollouts_leave_the_learning_alone() -> None:

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q import LearningRateCallback
@@ -41,6 +42,15 @@ class Learner(NamedTuple):
         """
         algorithm, callback = algorithm_class(self.algorithm), make_method(self.method, self.parameters)
         try:
-            return algorithm("MlpPolicy", env or reused_vec_env(self.environment), seed=seed, **self.settings), callback
+            model = algorithm("MlpPolicy", env or reused_vec_env(self.environment), seed=seed, **self.settings)
         except (TypeError, ValueError) as error:
             raise DesignError(f"{self.algorithm} cannot be made in {self.environment}: {error}") from error
+        model.set_logger(silent_logger())
+        return model, callback
+
+
+def silent_logger() -> Logger:
+    """
+    :return: a logger for a model that nobody reads the log of: SB3 would make a temporary folder at every ``learn``
+    """
+    return Logger(folder=None, output_formats=[])

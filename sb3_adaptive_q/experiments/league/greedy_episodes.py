@@ -10,6 +10,7 @@ from gymnasium.utils import seeding
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, TabularQ
 from sb3_adaptive_q.compiled.jit import machine_code
 from sb3_adaptive_q.experiments.environments import reused_vec_env
+from sb3_adaptive_q.experiments.learners import silent_logger
 from sb3_adaptive_q.random_numbers import read_pcg64
 
 #: Episodes of a greedy policy, and the seed that they always have
@@ -42,6 +43,7 @@ def _ordinary_player(env: Any) -> Play:
     """A model that plays greedily and learns nothing."""
     still: dict[str, Any] = {"learning_rate": 0.0, "exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
     model = TabularQ("MlpPolicy", env, total_episodes=EPISODES, ties="first", **still)
+    model.set_logger(silent_logger())
 
     def play(table: np.ndarray) -> np.ndarray:
         series = EpisodeSeriesCallback()

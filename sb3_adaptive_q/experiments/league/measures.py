@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q import EpisodeSeriesCallback
@@ -113,7 +112,6 @@ def _run(learner: Learner, recipe: Mapping[str, Any], seed: int, make_judge: Mak
     # Nobody reads the window of the last episodes, which is filled at every checkpoint
     settings = {**learner.settings, "callback_interval": interval, "stats_window_size": 1}
     model, method = learner._replace(settings=settings).make(seed, env)
-    model.set_logger(Logger(folder=None, output_formats=[]))  # SB3 would make a temporary folder for every run
     failure = _learn(model, interval * recipe["checkpoints"], [method, checkpoints, episodes]) or checkpoints.failure
     scores = np.full(recipe["checkpoints"], judge.nothing_learned)
     scores[: len(checkpoints.scores)] = checkpoints.scores
