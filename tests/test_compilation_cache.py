@@ -7,16 +7,19 @@ import shutil
 import subprocess
 import sys
 import threading
+from itertools import combinations_with_replacement
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, typeof
 from stable_baselines3.common.env_util import make_vec_env
 
 import sb3_adaptive_q
 from sb3_adaptive_q import CompiledVecEnv, LearningRateCallback, TabularQ
+from sb3_adaptive_q.compiled import jit
 from sb3_adaptive_q.compiled.freezing import CannotFreeze, freeze
 from sb3_adaptive_q.compiled.jit import CannotCompile, machine_code
 
@@ -405,3 +408,28 @@ def is_even(number):
 
 def is_odd(number):
     return number != 0 and is_even(number - 1)
+
+
+class Pair(NamedTuple):
+    first: int
+    second: float
+
+
+def test_arguments_of_one_kind_have_one_type() -> None:
+    """The compiler's type is what machine code is made for, and the kind is what it is found again by."""
+    table = np.arange(12.0).reshape(3, 4)
+    frozen_table = table.copy()
+    frozen_table.flags.writeable = False
+    plain, aligned = (np.zeros(2, np.dtype([("a", np.int8), ("b", np.float64)], align=align)) for align in (False, True))
+    as_if_aligned = np.zeros(2, np.dtype({"names": ["a", "b"], "formats": [np.int8, np.float64], "offsets": [0, 8]}))
+    moved = np.frombuffer(b" " * 33, np.uint8)[1:].view(np.float64)
+    arrays = [
+        table, table.T, table[:, ::2], table[0], table[:, :1], table.astype(np.float32), frozen_table,
+        plain, aligned, as_if_aligned, plain.view(np.recarray), moved, np.zeros((0, 2)), np.zeros(()), np.zeros(3, bool),
+    ]  # fmt: skip
+    others = [1, 2**63, -1, 1.0, True, np.int64(1), np.uint64(1), np.float32(1.0), (), (1, 1.0), (1.0, 1), Pair(1, 1.0)]
+    values = [*arrays, *others, *((array, 0) for array in arrays), *((array,) for array in arrays)]
+    for first, second in combinations_with_replacement(values, 2):
+        if jit._kind(first) == jit._kind(second):
+            assert typeof(first) == typeof(second)
+    assert len({jit._kind(value) for value in values}) >= len({typeof(value) for value in values}) > 40
