@@ -1,6 +1,7 @@
 """Environments with a transition table ``P``: what is read equals it, what is drawn follows it."""
 
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -20,6 +21,7 @@ from stable_baselines3.common.monitor import Monitor
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
 from sb3_adaptive_q.compiled.freezing import freeze
 from sb3_adaptive_q.random_numbers import read_pcg64
+from sb3_adaptive_q.vec_env.readings import Readings
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, read_table
 
 #: Of every statistical test here: how often it would fail for a correct program, were its seed not fixed
@@ -241,3 +243,15 @@ def test_what_has_a_table_and_no_distribution_is_no_table_environment():
     from sb3_adaptive_q.vec_env.tabular_dynamics import has_table
 
     assert not has_table(SimpleNamespace(P={}))
+
+
+def test_readings_serve_several_threads() -> None:
+    """Two threads that read ever new tables do not disturb each other."""
+    readings = Readings(most=3)
+
+    def read(first: int) -> list[int]:
+        return [readings.get([[i]], lambda i=i: i) for i in range(first, first + 20_000)]
+
+    with ThreadPoolExecutor(4) as executor:
+        for first, found in zip(range(4), executor.map(read, range(4)), strict=True):
+            assert found == list(range(first, first + 20_000))

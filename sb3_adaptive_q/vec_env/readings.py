@@ -22,7 +22,7 @@ class Readings:
         :param read: makes the result of them
         :return: the result, made once as long as the contents stay equal; nobody may change it
         """
-        for others, result in self._kept:
+        for others, result in tuple(self._kept):  # a copy, as other threads may add to it
             if _are_equal(contents, others):
                 return result
         result = read()
