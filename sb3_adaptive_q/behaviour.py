@@ -234,6 +234,7 @@ def linear(progress, initial, final, fraction):
     """
     if progress >= fraction:
         return final
+    # The division is the same at every step, so the compiler takes it out of the loop
     return initial + (final - initial) / fraction * progress
 
 

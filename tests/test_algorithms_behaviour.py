@@ -1,5 +1,6 @@
 """How actions are chosen: probabilities, expectations, masks, what a rule sees of them, and what was exploratory."""
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import TimeLimit
+from hypothesis import example, given
+from hypothesis import strategies as st
 from scipy import stats
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_with_masks
 from sb3_contrib.common.wrappers import ActionMasker
@@ -26,7 +29,7 @@ from sb3_adaptive_q import (
     TabularQ,
 )
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, SCHEDULES, TIES, expect_boltzmann
+from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, SCHEDULES, TIES, expect_boltzmann, linear
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.random_numbers import uniform
 from sb3_adaptive_q.rollouts import step_rollout
@@ -566,3 +569,13 @@ def test_a_small_temperature_overflows_nowhere() -> None:
     """The differences to the largest value are what is exponentiated: e^1000 is no float."""
     table = np.array([[0.0, 1000.0, 999.0]])
     assert expect_boltzmann((table,), table, 0, 0.1) == pytest.approx(1000.0, abs=0.001)
+
+
+@given(*[st.floats(0.0, 1.0)] * 4)
+@example(1.0, 0.0, 0.3, math.nextafter(0.3, 0.0))
+def test_linear_exploration_stays_between_its_ends(initial: float, final: float, fraction: float, progress: float) -> None:
+    """Up to rounding; but one that fell below 0 would end the training."""
+    rate = linear(progress, initial, final, max(fraction, 1e-9))
+    low, high = sorted((initial, final))
+    assert 0.0 <= rate and low - 1e-15 <= rate <= high + 1e-15
+    assert linear(0.0, initial, final, 1.0) == initial and linear(1.0, initial, final, fraction) == final

@@ -18,7 +18,15 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import METHODS, ConstantRateCallback, LearningRateCallback, SignRateCallback, TabularQ, method
+from sb3_adaptive_q import (
+    METHODS,
+    ConstantRateCallback,
+    EpisodeSeriesCallback,
+    LearningRateCallback,
+    SignRateCallback,
+    TabularQ,
+    method,
+)
 
 LAKE = "FrozenLake-v1"
 SCRIPT = [
@@ -442,6 +450,21 @@ class TestMethodsAsCallbacks:
         with pytest.raises(ValueError, match=r"reset_each_episode.*single environment.*2"):
             model.learn(10, callback=method(7, reset_each_episode=True))
         assert not model.q_table.any()
+
+    def test_no_rule_is_asked_where_an_episode_resets_mu(self):
+        """It may divide by the next value, which is 0 at the end of an episode."""
+        asked = []
+
+        class Asked(LearningRateCallback):
+            @staticmethod
+            def rule(mu, step):
+                asked.append(step.next_value)
+                return 0.25
+
+        model, series = TabularQ("MlpPolicy", "FrozenLake-v1", seed=0), EpisodeSeriesCallback()
+        with pytest.warns(UserWarning, match="runs as Python"):
+            model.learn(300, callback=[Asked(mu_0=0.5, reset_each_episode=True), series])
+        assert len(series.returns) > 10 and len(asked) == 300 - len(series.returns)
 
 
 def halve(mu, transition, least):

@@ -20,11 +20,12 @@ from stable_baselines3.common.callbacks import (
     StopTrainingOnNoModelImprovement,
     StopTrainingOnRewardThreshold,
 )
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import EpisodeSeriesCallback, TabularQ, method
+from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, TabularQ, method
 
 LAKE = "slippery lake"
 MODEL = {"method": 7, "initial_q": 0.5, "seed": 4}
@@ -591,3 +592,30 @@ def test_tensorboard_files_are_written(tmp_path):
     model = make_model(LAKE, True, tensorboard_log=str(tmp_path), **MODEL)
     model.learn(20_000, callback=LogEveryNTimesteps(5_000))
     assert list(tmp_path.glob("TabularQ_method7_1/events.out.tfevents.*"))
+
+
+class Adds(BaseCallback):
+    """Adds a callback to its own list in the middle of a training."""
+
+    knows_rollouts = True
+
+    def __init__(self, added: BaseCallback) -> None:
+        super().__init__()
+        self.added = added
+        self.together: CallbackList | None = None
+
+    def _on_step(self) -> bool:
+        if self.together is not None:
+            self.added.init_callback(self.model)
+            self.together.callbacks.append(self.added)
+            self.together = None
+        return True
+
+
+def test_a_callback_that_is_added_later_is_called_when_it_is_due(tmp_path):
+    """It comes after ten steps, sees the last of these and ninety more, and acts at every seventh."""
+    adds = Adds(CheckpointCallback(7, str(tmp_path)))
+    adds.together = CallbackList([adds])
+    env = make_vec_env("FrozenLake-v1", vec_env_cls=CompiledVecEnv)
+    TabularQ("MlpPolicy", env, callback_interval=10, seed=0).learn(100, callback=adds.together)
+    assert len(list(tmp_path.iterdir())) == (90 + 1) // 7

@@ -118,6 +118,15 @@ def test_counted_samples_have_the_aggregates_of_copied_ones(scores: np.ndarray, 
     )
 
 
+def test_rules_whose_runs_differ_in_few_outliers_share_a_rank() -> None:
+    """The middle half is the same, so every bootstrap sample is a tie, whatever the order in which it is summed."""
+    scores = np.full((3, 100, 1), 0.9987)
+    scores[1, ::10], scores[2, 5::20] = 0.0, 0.3
+    samples = bootstrap_aggregates(scores, 500)[..., 0]
+    assert (samples == samples[:, :1]).all()
+    assert rank_intervals(interquartile_mean(scores), samples) == [(1, 1, 1)] * 3
+
+
 def test_bootstrap_of_the_mean_has_the_variance_of_theory() -> None:
     """Var of the mean over tasks = mean of the tasks' population variances / (runs x tasks)."""
     scores = np.random.default_rng(3).normal(size=(1, 30, 4)) * [1.0, 2.0, 3.0, 4.0]

@@ -20,6 +20,7 @@ from stable_baselines3.common.monitor import Monitor
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
 from sb3_adaptive_q.compiled.freezing import freeze
+from sb3_adaptive_q.envs.hidden import OutcomeArrays
 from sb3_adaptive_q.random_numbers import read_pcg64
 from sb3_adaptive_q.vec_env.readings import Readings
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, read_table
@@ -255,3 +256,14 @@ def test_readings_serve_several_threads() -> None:
     with ThreadPoolExecutor(4) as executor:
         for first, found in zip(range(4), executor.map(read, range(4)), strict=True):
             assert found == list(range(first, first + 20_000))
+
+
+def test_arrays_of_outcomes_follow_the_numbers_of_states_and_actions() -> None:
+    """Dicts are equal whatever the order of their entries, and numbers whatever their type."""
+    whole = {0: {0: [(1.0, 0, 2, True)]}, 1: {0: [(1.0, 1, 0, False)]}}
+    turned = {state: {0: [(p, s, float(r), t) for p, s, r, t in whole[state][0]]} for state in (1, 0)}
+    assert whole == turned
+    for tables in ([turned], [whole]):
+        arrays = OutcomeArrays.of(tables)
+        assert arrays.rewards[0, :, 0, 0].tolist() == [2.0, 0.0] and arrays.next_states[0, :, 0, 0].tolist() == [0, 1]
+        assert [each.dtype.kind for each in arrays] == ["f", "i", "f", "b"]

@@ -65,9 +65,12 @@ def make_learn_one(update, size, rule, behaviour, explore):
                 if fixed.holds_epsilon == 0:
                     epsilon = explore(fixed, progress)
             action = choose(tables, t.start_state, epsilon, draws)
-        mu = now.mu if fixed.holds_mu != 0 else rule(now.mu, at_progress(step, progress), *memory.parameters)
         if t.done and fixed.resets_mu != 0:
             mu = fixed.mu_0
+        elif fixed.holds_mu != 0:
+            mu = now.mu
+        else:
+            mu = rule(now.mu, at_progress(step, progress), *memory.parameters)
         status = SOUND
         if not (is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0):
             status = cause_of_refusal(step, epsilon)
@@ -189,7 +192,7 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
                 note_episode(episodes[n_ended], length, episode_return, now, 0)
                 length, episode_return, n_ended = 0, 0.0, n_ended + 1
                 if n_ended >= max_episodes:
-                    max_steps = n_steps + 1
+                    max_steps = n_steps + 1  # this step is the last
             n_steps += 1
             status = check(t.next_state, t.start_state, t.reward, n_states)
             if status != SOUND:

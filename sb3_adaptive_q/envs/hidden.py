@@ -98,21 +98,27 @@ class OutcomeArrays(NamedTuple):
         Write tables as arrays.
 
         :param tables: of one shape
-        :return: the arrays, the same ones as long as the tables stay equal
+        :return: the arrays; equal tables share them
         """
         return _readings.get(tables, lambda: cls._read(tables))
 
     @classmethod
     def _read(cls, tables: list[Table]) -> "OutcomeArrays":
-        rows = [row for table in tables for state in table.values() for row in state.values()]
+        n_states, n_actions = len(tables[0]), len(tables[0][0])
+        rows = [table[state][action] for table in tables for state in range(n_states) for action in range(n_actions)]
         width = max(len(row) for row in rows) + 1
-        shape = (len(tables), len(tables[0]), len(tables[0][0]), width)
+        shape = (len(tables), n_states, n_actions, width)
         cumulative = np.full((len(rows), width), np.inf)
         for bounds, row in zip(cumulative, rows, strict=True):
             bounds[: len(row)] = np.cumsum([outcome[0] for outcome in row])
         columns = zip(*(outcome for row in rows for outcome in row + row[:1] * (width - len(row))), strict=True)
-        _, next_states, rewards, terminated = (np.array(column).reshape(shape) for column in columns)
-        return cls(cumulative.reshape(shape), next_states, rewards, terminated)
+        _, next_states, rewards, terminated = columns
+        return cls(
+            cumulative.reshape(shape),
+            np.array(next_states, np.int64).reshape(shape),
+            np.array(rewards, np.float64).reshape(shape),
+            np.array(terminated, np.bool_).reshape(shape),
+        )
 
 
 class ClockDynamics(Dynamics):

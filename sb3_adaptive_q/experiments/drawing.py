@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from typing import Any, NamedTuple
 
-from joblib import Parallel, cpu_count, delayed
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from PIL import Image
 
+from sb3_adaptive_q.experiments.runner import in_processes
 from sb3_adaptive_q.plots.style import COLORS, LINE_STYLES, STYLE
 
 MARKERS = "osD^vPX*<>hp"
@@ -21,7 +21,7 @@ class Picture(NamedTuple):
     """
     :param name: of its file, without the ending
     :param caption: what it shows
-    :param make: makes the figure; another process may call it
+    :param make: makes the figure; it must be picklable, as another process may call it
     """
 
     name: str
@@ -43,12 +43,12 @@ def render_all(pictures: Iterable[Picture], workers: int | None, mark: str = "")
     Render many pictures, in processes of their own.
 
     :param pictures: the pictures
-    :param workers: the number of processes; ``None``: one for each core; with 1 it is this one
+    :param workers: the number of processes; ``None``: one for each core; with 1 they are rendered in this process
     :param mark: what stands in the corner of each
-    :return: for each picture the content of its PNG file
+    :return: the content of each picture's PNG file, in order
+    :raises ExperimentError: if a worker dies
     """
-    parallel = Parallel(n_jobs=workers or cpu_count(), return_as="generator")
-    yield from parallel(delayed(_render_marked)(picture.make, mark) for picture in pictures)
+    return in_processes(_render_marked, [(picture.make, mark) for picture in pictures], workers)
 
 
 def _render_marked(make: Callable[[], Figure], mark: str) -> bytes:

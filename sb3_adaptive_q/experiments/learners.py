@@ -51,6 +51,6 @@ class Learner(NamedTuple):
 
 def silent_logger() -> Logger:
     """
-    :return: a logger for a model that nobody reads the log of: SB3 would make a temporary folder at every ``learn``
+    :return: a logger that writes nothing. Without it, SB3 makes a temporary folder at every ``learn``
     """
     return Logger(folder=None, output_formats=[])

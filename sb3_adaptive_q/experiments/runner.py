@@ -4,7 +4,7 @@ import os
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -112,10 +112,7 @@ def _outcomes(parallel: Parallel, cells: Sequence[Cell], run: Run) -> Iterator[O
     except TimeoutError as error:
         raise ExperimentError(f"The Dask cluster has no worker: please start some with `dask worker`. ({error})") from error
     except BrokenExecutor as error:
-        raise ExperimentError(
-            f"A worker died ({error}), perhaps because memory ran out. Start the command again to continue; "
-            "--workers 1 needs the least memory."
-        ) from error
+        raise _dead_worker(error) from error
     except CancelledError as error:
         raise ExperimentError(
             "The Dask scheduler was lost: check that it is running, and start the command again to continue."
@@ -141,6 +138,37 @@ def _workers(execution: Execution, kind: str) -> Iterator[Parallel]:
     if kind == "loky":
         # They would wait five minutes for more work, and hold half a GiB each while the results are compared
         get_reusable_executor().shutdown()
+
+
+def in_processes(function: Callable[..., Any], arguments: Iterable[tuple[Any, ...]], workers: int | None) -> Iterator[Any]:
+    """
+    Call a function for other work than cells, such as drawing.
+
+    :param function: it and its arguments must be picklable
+    :param arguments: of each call
+    :param workers: the number of processes; ``None``: one for each core; with 1 the calls are made in this process
+    :return: what the calls return, in order
+    :raises ExperimentError: if a worker dies
+    """
+    try:
+        yield from Parallel(n_jobs=workers or cpu_count(), return_as="generator")(
+            delayed(_call_in_process)(function, each, os.getpid()) for each in arguments
+        )
+    except BrokenExecutor as error:
+        raise _dead_worker(error) from error
+
+
+def _call_in_process(function: Callable[..., Any], arguments: tuple[Any, ...], caller: int) -> Any:
+    if os.getpid() != caller:
+        _end_with_parent()
+    return function(*arguments)
+
+
+def _dead_worker(error: BrokenExecutor) -> ExperimentError:
+    return ExperimentError(
+        f"A worker died ({error}), perhaps because memory ran out. Start the command again to continue; "
+        "--workers 1 needs the least memory."
+    )
 
 
 def _run_in_process(cell: Cell, wanted: Mapping[str, str]) -> Outcome:

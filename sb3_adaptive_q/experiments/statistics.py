@@ -17,8 +17,8 @@ PROBABILITIES = ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0)
 SIGNIFICANCE = 0.05
 #: What the bootstrap draws from: the same results give the same report
 BOOTSTRAP_SEED = 0
-#: Bootstrap samples that are held at a time
-BATCH = 100
+#: Bootstrap samples that are held at a time, and the decimals of those that are counted
+BATCH, DECIMALS = 100, 12
 
 Statistic = Callable[[np.ndarray], np.ndarray]
 
@@ -158,7 +158,8 @@ def bootstrap_aggregates(scores: np.ndarray, resamples: int) -> np.ndarray:
         middles = [_middle_mean(counts[:, order], values[order]) for order, values in zip(orders, flat, strict=True)]
         gaps = 1.0 - counts @ np.minimum(flat, 1.0).T / size
         samples.append(np.stack([np.stack(middles, axis=1), counts @ flat.T / size, gaps], axis=-1))
-    return np.concatenate(samples)
+    # Sums of the same scores in another order differ in their last digits, and equal samples shall be equal
+    return np.concatenate(samples).round(DECIMALS)
 
 
 def _middle_mean(counts: np.ndarray, ordered: np.ndarray) -> np.ndarray:

@@ -47,7 +47,7 @@ class CompiledRollout(StepRollout):
                 "A CompiledVecEnv needs Numba's compiler, which is disabled: please unset NUMBA_DISABLE_JIT, or use "
                 "LeanVecEnv."
             )
-        self.callbacks = callbacks_of_sb3(callback)
+        self.callback = callback
         self.compiled_envs = model.env.compile()
         self.dynamics = self.compiled_envs[0].dynamics
         n_envs = model.env.num_envs
@@ -93,12 +93,13 @@ class CompiledRollout(StepRollout):
         """
         if self.model.choices is not self.choices:
             self.take_choices()
-        max_steps, max_episodes = self._limits()
+        callbacks = callbacks_of_sb3(self.callback)
+        max_steps, max_episodes = self._limits(callbacks)
         dones = np.zeros((max_steps, self.n_envs), dtype=bool)
         self._read_environments()
         n_steps = self._run(dones, max_steps, max_episodes)
         self._write_environments(n_steps)
-        skip_steps(self.callbacks, n_steps - 1, self.n_envs)
+        skip_steps(callbacks, n_steps - 1, self.n_envs)
         self.dones = self.envs["done"].tolist()
         self.infos = self._last_infos()
         self._hand_over_episodes()
@@ -203,12 +204,12 @@ class CompiledRollout(StepRollout):
     def _steps_left(self) -> int:
         return ceil((self.model._total_timesteps - self.model.num_timesteps) / self.n_envs)
 
-    def _limits(self) -> tuple[int, int]:
+    def _limits(self, callbacks: list[BaseCallback]) -> tuple[int, int]:
         model = self.model
         episodes_left = model._total_episodes - model._episode_num
-        due = steps_until_due(self.callbacks, model.num_timesteps, self.n_envs)
+        due = steps_until_due(callbacks, model.num_timesteps, self.n_envs)
         max_steps = max(min(self.interval, self._steps_left(), due), 1)
-        max_episodes = max(min(episodes_left, episodes_until_due(self.callbacks), NO_LIMIT), 1)
+        max_episodes = max(min(episodes_left, episodes_until_due(callbacks), NO_LIMIT), 1)
         return int(max_steps), int(max_episodes)
 
     def _read_environments(self) -> None:

@@ -13,14 +13,14 @@ class Readings:
     :param most: how many are kept; the oldest one is dropped
     """
 
-    def __init__(self, most: int = 10) -> None:
+    def __init__(self, most: int) -> None:
         self._kept: deque[tuple[Any, Any]] = deque(maxlen=most)
 
     def get(self, contents: Any, read: Callable[[], Any]) -> Any:
         """
         :param contents: dicts, lists and tuples of numbers and texts
         :param read: makes the result of them
-        :return: the result, made once as long as the contents stay equal; nobody may change it
+        :return: the result for these contents, a kept one or a new one. It is shared, so nobody may change it
         """
         for others, result in tuple(self._kept):  # a copy, as other threads may add to it
             if _are_equal(contents, others):

@@ -25,8 +25,9 @@ OUTCOME = np.dtype(
 #: gymnasium's environments whose steps do nothing but draw from their tables
 _BY_TABLE = (FrozenLakeEnv, TaxiEnv, CliffWalkingEnv)
 
-#: By the class of the environment
-_readings: dict[type, Readings] = {}
+#: The tables that were read, by the class of the environment and by whether they have more states than these
+_readings: dict[tuple[type, bool], Readings] = {}
+LARGE = 1000
 
 #: Up to this number of outcomes, machine code is specialised for the number
 MOST_UNROLLED = 8
@@ -124,14 +125,16 @@ def steps_by_table(env: gym.Env) -> bool:
 def read_table(env: Any) -> TransitionTable:
     """
     :param env: an environment with ``P`` and ``initial_state_distrib``
-    :return: both as arrays; those of an earlier call for its class if nothing is different
+    :return: both as arrays; the same ones as in an earlier call for an equal environment of the class
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
-    if not isinstance(env.P, dict):
+    if type(env.P) is not dict:  # a dict of another kind may give more than it holds
         return _read_table(env)
     sizes = getattr(env.observation_space, "n", None), getattr(env.action_space, "n", None)
     contents = env.P, list(env.initial_state_distrib), sizes, repr(env.observation_space)
-    return _readings.setdefault(type(env), Readings()).get(contents, lambda: _read_table(env))
+    is_large = len(env.P) > LARGE
+    readings = _readings.setdefault((type(env), is_large), Readings(most=1 if is_large else 30))
+    return readings.get(contents, lambda: _read_table(env))
 
 
 def _read_table(env: Any) -> TransitionTable:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from sb3_adaptive_q.experiments.drawing import MARKERS, line_style
 from sb3_adaptive_q.experiments.league.analysis import Places, Scores, Sensitivity, Standing
 from sb3_adaptive_q.experiments.league.findings import PAPER_LABELS
-from sb3_adaptive_q.experiments.league.plan import CLIP, anytime, prediction_scale
+from sb3_adaptive_q.experiments.league.plan import CLIP, anytime
 from sb3_adaptive_q.experiments.league.settings import Contestant, Track, league_data
 from sb3_adaptive_q.experiments.statistics import (
     BOOTSTRAP_SEED,
@@ -196,18 +196,18 @@ def free_parameters(rule: Contestant) -> list[str]:
     return [name for name in rule.settings[0] if len({each[name] for each in rule.settings}) > 1]
 
 
-def sensitivity_figure(track: Track, rule: int, tuning: Places) -> Figure:
+def sensitivity_figure(track: Track, rule: int, tuning: Places, scale: Sequence[float]) -> Figure:
     """
     Scores against the first parameter that varies, from the tuning runs.
 
     :param track: a track
     :param rule: the index of one of its contestants, which has more than one setting
-    :param tuning: the tuning runs of the track
+    :param tuning: its tuning runs
+    :param scale: of the scores in each task, see :func:`~sb3_adaptive_q.experiments.league.plan.anytime`
     :return: the figure
     """
     contestant = track.contestants[rule]
     first, *others = free_parameters(contestant)
-    scale = prediction_scale(track, tuning) if track.name == "C" else [1.0] * len(track.tasks)
     figure, axes = _panels([task.name for task in track.tasks], "score (mean of the tuning runs)")
     x = np.array([each[first] for each in contestant.settings], float)
     lines = [tuple(each[name] for name in others) for each in contestant.settings]

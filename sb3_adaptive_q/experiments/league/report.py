@@ -31,7 +31,7 @@ from sb3_adaptive_q.experiments.league.figures import (
     wins_figure,
 )
 from sb3_adaptive_q.experiments.league.findings import findings, paper_finding
-from sb3_adaptive_q.experiments.league.plan import CHOICES
+from sb3_adaptive_q.experiments.league.plan import CHOICES, prediction_scale
 from sb3_adaptive_q.experiments.league.remarks import design_remark, scale_remark
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Track, league_data
 from sb3_adaptive_q.experiments.options import options_of
@@ -185,10 +185,12 @@ def _pictures(analysed: Analysed, wins: list[list[Estimate]]) -> list[Picture]:
     ]
     if track.name == "algorithms":
         return pictures
+    scale = prediction_scale(track, tuning) if track.name == "C" else [1.0] * len(track.tasks)
     for i, label in enumerate(labels):
         if free_parameters(track.contestants[i]):
             name, caption = file_name(f"sensitivity_{label}"), f"Score of {label} against its parameter"
-            pictures.append(Picture(name, caption, partial(sensitivity_figure, track, i, tuning)))
+            own = {place: runs for place, runs in tuning.items() if place[0] == i}
+            pictures.append(Picture(name, caption, partial(sensitivity_figure, track, i, own, scale)))
     return pictures
 
 
