@@ -16,6 +16,7 @@ from sb3_adaptive_q.experiments.league.plan import (
     setting_text,
     tuning_scores,
 )
+from sb3_adaptive_q.experiments.league.remarks import design_remark
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Task, Track
 
 OWN = "tests.helpers.own_rules:"
@@ -245,3 +246,10 @@ def test_bad_option_is_refused(arguments: list[str], part: str, tmp_path: Path, 
     message = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert status == 2 and part in message and "Traceback" not in message
     assert not (tmp_path / "league").exists()
+
+
+def test_a_quick_look_draws_fewer_bootstrap_samples() -> None:
+    whole, quick = LeagueSettings(), LeagueSettings(quick=True)
+    assert (whole.bootstrap_samples, quick.bootstrap_samples) == (50_000, 2000)
+    assert LeagueSettings(quick=True, resamples=200).bootstrap_samples == 200
+    assert not design_remark(whole) and "1000 bootstrap samples" in design_remark(LeagueSettings(resamples=1000))

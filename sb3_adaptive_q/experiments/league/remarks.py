@@ -5,12 +5,10 @@ from typing import Any
 import numpy as np
 
 from sb3_adaptive_q.experiments.environments import make_env
-from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Task, Track, league_data
+from sb3_adaptive_q.experiments.league.settings import RESAMPLES, LeagueSettings, Task, Track, league_data
 from sb3_adaptive_q.experiments.text import join
 from sb3_adaptive_q.planning import Reference, action_values, reference, value_iteration
 
-#: Bootstrap samples of a published league
-RESAMPLES = 50_000
 #: Scores that differ by less are the same in the tables
 VISIBLE = 5e-4
 #: A table that has learned nothing and scores more leaves little to learn

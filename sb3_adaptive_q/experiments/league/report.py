@@ -111,7 +111,8 @@ def write_outputs(
     :return: the summary of the report
     """
     order = list(TITLES)
-    analysed = sorted((analyse(each, settings.resamples) for each in played), key=lambda each: order.index(each.track.name))
+    analysed = [analyse(each, settings.bootstrap_samples) for each in played]
+    analysed.sort(key=lambda each: order.index(each.track.name))
     sections = [_section(settings, folder, each, workers) for each in analysed]
     summary = _summary(settings, analysed[0])
     report = "\n\n".join([summary, *sections, _how_to_repeat(settings, seconds)]) + "\n"
@@ -136,7 +137,7 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
     track = first.track
     heading = f"# Step sizes of tabular learning, compared{QUICK if settings.quick else ''}"
     heading += f"\n\n{QUICK_NOTE}" if settings.quick else ""
-    sentences = findings(track, first.scores[CHOICES[0]], settings.resamples)
+    sentences = findings(track, first.scores[CHOICES[0]], settings.bootstrap_samples)
     sentences += [paper_finding(first.rows)]
     runs = sum(len(group) for group in settings.seeds("evaluation"))
     what = f"{len(track.contestants)} rules in {len(track.tasks)} environments, {runs} runs each. {WHAT[track.name]}"
@@ -146,7 +147,7 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
 
 def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed, workers: int | None) -> str:
     track, mark = analysed.track, QUICK if settings.quick else ""
-    wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(settings.resamples, 1000))
+    wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(settings.bootstrap_samples, 1000))
     tables = {
         "standings": ("Standings", standings_table(analysed)),
         "choices": ("Other ways of choosing the setting (interquartile means)", _choices_table(analysed, settings)),
@@ -234,7 +235,7 @@ def _choices_table(analysed: Analysed, settings: LeagueSettings) -> pd.DataFrame
     columns = {}
     for choice, scores in analysed.scores.items():
         values = interquartile_mean(scores.anytime)
-        samples = bootstrap_aggregates(scores.anytime, settings.resamples)[..., 0]
+        samples = bootstrap_aggregates(scores.anytime, settings.bootstrap_samples)[..., 0]
         columns[choice] = [interval(float(value), samples[:, i]) for i, value in enumerate(values)]
     labels = [rule.label for rule in analysed.track.contestants]
     return pd.DataFrame(
@@ -280,7 +281,7 @@ def _how_to_repeat(settings: LeagueSettings, seconds: float) -> str:
         "league": f"version {league_data()['version']}, see league.yml",
         "seeds of the tuning": _span(settings, "tuning"),
         "seeds of the evaluation": _span(settings, "evaluation"),
-        "bootstrap samples": str(settings.resamples),
+        "bootstrap samples": str(settings.bootstrap_samples),
         "time of this start": f"{seconds:.0f} s (what was stored before took none)",
         "processor": f"{_processor()}, {cpu_count()} cores",
         "commit": commit() or "unknown",

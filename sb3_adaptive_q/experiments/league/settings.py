@@ -27,6 +27,8 @@ from sb3_adaptive_q.experiments.names import (
 
 MEASURES = "sb3_adaptive_q.experiments.league.measures:measure_"
 TRACKS = ("A", "B", "C", "algorithms")
+#: Bootstrap samples of an interval
+RESAMPLES = 50_000
 #: What only selects among the cells, and may differ from one start of a league to the next
 SELECTION = ("tracks", "methods", "environments", "algorithm", "runs", "tuning_runs", "sweep", "scale", "resamples")
 GYMNASIUM_ID = "An id that gymnasium knows or `module:name` will do too."
@@ -136,7 +138,7 @@ class LeagueSettings:
     scale: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     steps: int = 200_000
     gamma: float = 0.99
-    resamples: int = 2000
+    resamples: int = RESAMPLES
 
     def __post_init__(self) -> None:
         for name, values in (("tracks", self.names_of_tracks), ("methods", self.methods), ("environments", self.environments)):
@@ -169,6 +171,11 @@ class LeagueSettings:
         :return: the settings as plain data, for YAML
         """
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+    @property
+    def bootstrap_samples(self) -> int:
+        """The bootstrap samples of every interval: few in a quick look."""
+        return min(self.resamples, league_data()["quick"]["resamples"]) if self.quick else self.resamples
 
     def seeds(self, phase: str) -> list[list[int]]:
         """
