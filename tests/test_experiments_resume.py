@@ -14,13 +14,13 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import psutil
 import pytest
 import yaml
+from helpers import dying_worker
 
 import sb3_adaptive_q
 from sb3_adaptive_q import atomic, experiments
-from sb3_adaptive_q.experiments import Execution, ExperimentError, versions
+from sb3_adaptive_q.experiments import Execution, ExperimentError, runner, versions
 from sb3_adaptive_q.experiments.paper import figures, study
 from sb3_adaptive_q.experiments.paper.command import main
 from sb3_adaptive_q.experiments.paper.settings import StudySettings
@@ -128,14 +128,14 @@ def test_dead_worker_process_is_reported_and_costs_nothing(
     folder = tmp_path / "study"
     monkeypatch.setattr(study, "is_compiled", lambda system: False)  # so that the runs are given to processes
 
-    def kill_a_worker() -> None:
-        wait_for(lambda: len(cell_files(folder)) >= 2)
-        # Not while it sends the result of that cell: joblib would wait for the rest of it for ever
-        time.sleep(0.05)
-        joblibs = [child for child in psutil.Process().children() if "popen_loky" in " ".join(child.cmdline())]
-        joblibs[0].kill()
+    monkeypatch.setattr(runner, "_run_in_process", dying_worker.run_or_die)
+    monkeypatch.setenv(dying_worker.FLAG, str(tmp_path / "flag"))
 
-    killer = threading.Thread(target=kill_a_worker)
+    def let_a_worker_die() -> None:
+        wait_for(lambda: len(cell_files(folder)) >= 2)
+        (tmp_path / "flag").touch()
+
+    killer = threading.Thread(target=let_a_worker_die)
     killer.start()
     execution = Execution(output=folder, workers=2, progress=False)
     with pytest.raises(ExperimentError, match="A worker died"):
