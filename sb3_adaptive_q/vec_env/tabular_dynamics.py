@@ -128,7 +128,7 @@ def read_table(env: Any) -> TransitionTable:
     :return: both as arrays; the same ones as in an earlier call for an equal environment of the class
     :raises ValueError: if probabilities do not sum to 1, a next state is out of range or a reward is not finite
     """
-    if type(env.P) is not dict:  # a dict of another kind may give more than it holds
+    if not isinstance(env.P, dict) or hasattr(env.P, "__missing__"):  # it may give more than it holds
         return _read_table(env)
     sizes = getattr(env.observation_space, "n", None), getattr(env.action_space, "n", None)
     contents = env.P, list(env.initial_state_distrib), sizes, repr(env.observation_space)
