@@ -86,11 +86,13 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     return copy
 
 
-def _freeze_values(values: dict[str, Any], names: list[str]) -> tuple[dict[str, Any], list[tuple[str, Any]]]:
-    """The values as the copy shall have them, by name, and what tells each from every other."""
+def _freeze_values(values: dict[str, Any], names: list[str], module: str = "") -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+    """The values as the copy shall have them, by name, and what tells each from every other. They may be a module's."""
     frozen_values, keys = {}, []
     for name, value in values.items():
-        frozen_values[name], key = _freeze_value(name, value, names)
+        # Modules may hold each other: so a part of one is searched without its own name
+        others = [each for each in names if each != name] if module else names
+        frozen_values[name], key = _freeze_value(f"{module}.{name}" if module else name, value, others)
         keys.append((name, key))
     return frozen_values, keys
 
@@ -111,11 +113,7 @@ def _freeze_value(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
         return value, _being_copied.index(helper) if helper in _being_copied else freeze(value).__name__
     if isinstance(value, types.ModuleType) and not _is_foreign(value.__name__):
         held = {other: getattr(value, other) for other in names if getattr(value, other, value) is not value}
-        contents, keys = {}, []
-        for other, part in held.items():
-            # Without its own name, because modules may hold each other
-            contents[other], key = _freeze_value(f"{name}.{other}", part, [each for each in names if each != other])
-            keys.append((other, key))
+        contents, keys = _freeze_values(held, names, module=name)
         copy_of_module = types.ModuleType(value.__name__)
         vars(copy_of_module).update(contents)
         return copy_of_module, (value.__name__, keys)
