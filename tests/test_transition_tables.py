@@ -267,3 +267,6 @@ def test_arrays_of_outcomes_follow_the_numbers_of_states_and_actions() -> None:
         arrays = OutcomeArrays.of(tables)
         assert arrays.rewards[0, :, 0, 0].tolist() == [2.0, 0.0] and arrays.next_states[0, :, 0, 0].tolist() == [0, 1]
         assert [each.dtype.kind for each in arrays] == ["f", "i", "f", "b"]
+    # The first with these numbers, so that no equal table has been read
+    of_whole_numbers = OutcomeArrays.of([{0: {0: [(1, 0, 3, 1)]}}])
+    assert [each.dtype.kind for each in of_whole_numbers] == ["f", "i", "f", "b"]
