@@ -69,8 +69,12 @@ def render(figure: Figure, kind: str) -> bytes:
     """
     buffer = BytesIO()
     with rc_context({**STYLE, "path.simplify_threshold": 1.0}):
+        layout = figure.get_layout_engine()
+        if layout is not None:  # with it, saving would draw everything twice, and find all places again the next time
+            figure.set_dpi(RESOLUTION)
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(buffer, format=kind, dpi=RESOLUTION, metadata={"CreationDate": None} if kind == "pdf" else None)
-    figure.set_layout_engine(None)  # which keeps the places of everything, and saves finding them again
     return _few_colors(buffer) if kind == "png" else buffer.getvalue()
 
 

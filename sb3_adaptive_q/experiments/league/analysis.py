@@ -108,6 +108,7 @@ class Standing(NamedTuple):
     :param online: interquartile mean of what was collected while learning
     :param rank: by the anytime score, and the ends of its interval
     :param comparisons: with each reference, by its label; a reference has none with itself
+    :param with_best: the comparison with the best rule; ``None`` for that rule itself
     :param failures: how many runs failed
     """
 
@@ -120,6 +121,7 @@ class Standing(NamedTuple):
     online: Estimate
     rank: tuple[int, int, int]
     comparisons: dict[str, Comparison]
+    with_best: Comparison | None
     failures: int
 
 
@@ -183,8 +185,9 @@ def standings(track: Track, scores: Scores, resamples: int) -> list[Standing]:
     """
     values, samples = aggregates(scores.anytime), bootstrap_aggregates(scores.anytime, resamples)
     ranks = rank_intervals(values[:, 0], samples[..., 0])
-    final, online = (_estimates(part, resamples) for part in (scores.final, scores.online))
+    final, online = (estimates(part, resamples) for part in (scores.final, scores.online))
     comparisons = _comparisons(track, values[:, 0], samples[..., 0])
+    with_best = compare_with(int(values[:, 0].argmax()), values[:, 0], samples[..., 0])
     rows = []
     for i, rule in enumerate(track.contestants):
         setting = int(np.bincount(scores.settings[i]).argmax())
@@ -200,6 +203,7 @@ def standings(track: Track, scores: Scores, resamples: int) -> list[Standing]:
                 online=online[i],
                 rank=ranks[i],
                 comparisons={label: compared[i] for label, compared in comparisons.items() if i in compared},
+                with_best=with_best.get(i),
                 failures=int(scores.failures[i].sum()),
             )
         )
@@ -211,7 +215,12 @@ def _comparisons(track: Track, values: np.ndarray, samples: np.ndarray) -> dict[
     return {label: compare_with(i, values, samples) for label, i in references.items() if len(values) > 1}
 
 
-def _estimates(scores: np.ndarray, resamples: int) -> list[Estimate]:
+def estimates(scores: np.ndarray, resamples: int) -> list[Estimate]:
+    """
+    :param scores: of shape (rules, runs, tasks)
+    :param resamples: of the bootstrap
+    :return: the interquartile mean of each rule, of NaN where there are no tasks
+    """
     if not scores.shape[-1]:
         return [NOTHING] * len(scores)
     values, samples = interquartile_mean(scores), bootstrap_aggregates(scores, resamples)[..., 0]

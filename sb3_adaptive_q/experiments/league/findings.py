@@ -6,7 +6,7 @@ from sb3_adaptive_q import METHODS
 from sb3_adaptive_q.experiments.league.analysis import Scores, Standing, of_tasks, standings
 from sb3_adaptive_q.experiments.league.settings import Track
 from sb3_adaptive_q.experiments.names import method_label
-from sb3_adaptive_q.experiments.statistics import SIGNIFICANCE, bootstrap_aggregates, compare_with, interquartile_mean
+from sb3_adaptive_q.experiments.statistics import SIGNIFICANCE
 from sb3_adaptive_q.experiments.text import format_estimate, join
 
 #: How a kind of environments is called at the beginning of a sentence
@@ -21,25 +21,26 @@ WHERE = {
 PAPER_LABELS = [method_label(str(number)) for number in METHODS]
 
 
-def findings(track: Track, scores: Scores, resamples: int) -> list[str]:
+def findings(track: Track, scores: Scores, rows: Sequence[Standing], resamples: int) -> list[str]:
     """
     :param track: a track
     :param scores: with one setting for all environments
+    :param rows: their standings
     :param resamples: of the bootstrap
     :return: a sentence on all environments, and one on each kind of them
     """
-    kinds = dict.fromkeys(task.kind for task in track.tasks)
-    groups = {WHERE[kind]: [k for k, task in enumerate(track.tasks) if task.kind == kind] for kind in kinds}
-    every = {"Over all environments together": list(range(len(track.tasks)))}
-    return [_finding(track, scores, where, tasks, resamples) for where, tasks in {**every, **groups}.items()]
+    sentences = [_finding("Over all environments together", track, rows)]
+    for kind in dict.fromkeys(task.kind for task in track.tasks):
+        tasks = [k for k, task in enumerate(track.tasks) if task.kind == kind]
+        part = track._replace(tasks=tuple(track.tasks[k] for k in tasks))
+        sentences.append(_finding(WHERE[kind], part, standings(part, of_tasks(scores, tasks), resamples)))
+    return sentences
 
 
-def _finding(track: Track, scores: Scores, where: str, tasks: Sequence[int], resamples: int) -> str:
-    part = of_tasks(scores, tasks)
-    rows = standings(track._replace(tasks=tuple(track.tasks[k] for k in tasks)), part, resamples)
-    best, places = rows[0], ", ".join(track.tasks[k].name for k in tasks)
+def _finding(where: str, track: Track, rows: Sequence[Standing]) -> str:
+    best, places = rows[0], ", ".join(task.name for task in track.tasks)
     text = f"**{where}** ({places}), take **{best.label}** ({best.setting}): its score is {_with_comparisons(best)}"
-    equals = _not_told_apart(track, part, best.label, resamples)
+    equals = [row.label for row in rows if row.with_best is not None and not row.with_best.is_significant]
     others = f"Not significantly different: {join(equals)}." if equals else "Every other rule is significantly different."
     return f"{text}. {others}"
 
@@ -52,13 +53,6 @@ def _with_comparisons(row: Standing) -> str:
         side = "above" if difference.value >= 0 else "below"
         parts.append(f"{format_estimate(value, low, high)} {side} {label}{doubt}")
     return ", ".join(parts)
-
-
-def _not_told_apart(track: Track, scores: Scores, label: str, resamples: int) -> list[str]:
-    labels = [rule.label for rule in track.contestants]
-    values, samples = interquartile_mean(scores.anytime), bootstrap_aggregates(scores.anytime, resamples)[..., 0]
-    compared = compare_with(labels.index(label), values, samples)
-    return [labels[i] for i, comparison in compared.items() if not comparison.is_significant]
 
 
 def paper_finding(rows: Sequence[Standing]) -> str:

@@ -18,6 +18,7 @@ from sb3_adaptive_q.experiments.league.analysis import (
     Sensitivity,
     Standing,
     collect,
+    estimates,
     sensitivities,
     standings,
 )
@@ -39,10 +40,7 @@ from sb3_adaptive_q.experiments.page import html_page
 from sb3_adaptive_q.experiments.statistics import (
     Comparison,
     Estimate,
-    bootstrap_aggregates,
     improvement_matrix,
-    interquartile_mean,
-    interval,
     tolerance_interval,
 )
 from sb3_adaptive_q.experiments.storage import ResultFolder
@@ -137,7 +135,7 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
     track = first.track
     heading = f"# Step sizes of tabular learning, compared{QUICK if settings.quick else ''}"
     heading += f"\n\n{QUICK_NOTE}" if settings.quick else ""
-    sentences = findings(track, first.scores[CHOICES[0]], settings.bootstrap_samples)
+    sentences = findings(track, first.scores[CHOICES[0]], first.rows, settings.bootstrap_samples)
     sentences += [paper_finding(first.rows)]
     runs = sum(len(group) for group in settings.seeds("evaluation"))
     what = f"{len(track.contestants)} rules in {len(track.tasks)} environments, {runs} runs each. {WHAT[track.name]}"
@@ -146,11 +144,11 @@ def _summary(settings: LeagueSettings, first: Analysed) -> str:
 
 
 def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed, workers: int | None) -> str:
-    track, mark = analysed.track, QUICK if settings.quick else ""
-    wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(settings.bootstrap_samples, 1000))
+    track, mark, resamples = analysed.track, QUICK if settings.quick else "", settings.bootstrap_samples
+    wins = improvement_matrix(analysed.scores[CHOICES[0]].anytime, min(resamples, 1000))
     tables = {
         "standings": ("Standings", standings_table(analysed)),
-        "choices": ("Other ways of choosing the setting (interquartile means)", _choices_table(analysed, settings)),
+        "choices": ("Other ways of choosing the setting (interquartile means)", _choices_table(analysed, resamples)),
         "environments": (
             "Mean score in each environment, with the interval that holds nine of ten runs with 95 % confidence",
             _environments_table(analysed),
@@ -231,17 +229,13 @@ def _difference(comparison: Comparison | None) -> str:
     return f"{format_estimate(*comparison.difference, decimals=3)}, {p_value(comparison.p_value)}"
 
 
-def _choices_table(analysed: Analysed, settings: LeagueSettings) -> pd.DataFrame:
-    columns = {}
-    for choice, scores in analysed.scores.items():
-        values = interquartile_mean(scores.anytime)
-        samples = bootstrap_aggregates(scores.anytime, settings.bootstrap_samples)[..., 0]
-        columns[choice] = [interval(float(value), samples[:, i]) for i, value in enumerate(values)]
+def _choices_table(analysed: Analysed, resamples: int) -> pd.DataFrame:
     labels = [rule.label for rule in analysed.track.contestants]
+    others = {choice: estimates(analysed.scores[choice].anytime, resamples) for choice in CHOICES[1:]}
     return pd.DataFrame(
         [
-            {"rule": row.label}
-            | {choice: format_estimate(*of_rules[labels.index(row.label)], decimals=3) for choice, of_rules in columns.items()}
+            {"rule": row.label, CHOICES[0]: format_estimate(*row.score, decimals=3)}
+            | {choice: format_estimate(*of_rules[labels.index(row.label)], decimals=3) for choice, of_rules in others.items()}
             for row in analysed.rows
         ]
     )
