@@ -14,7 +14,7 @@ import psutil
 
 from benchmarks.bare_loops import make_lake_loop, make_pole_loop
 from benchmarks.measure import Row, print_rows
-from sb3_adaptive_q.study.settings import CART_POLE, FROZEN_LAKE
+from sb3_adaptive_q.experiments.paper.settings import CART_POLE, FROZEN_LAKE, PAPER_METHODS
 
 WORKERS = 2
 #: Steps of each bare loop that are timed
@@ -43,7 +43,7 @@ def run_study(output: Path, *options: str) -> Usage:
     :param options: of the study's command line
     :return: what it has used
     """
-    command = [sys.executable, "-m", "sb3_adaptive_q.study", "--workers", str(WORKERS), "--output", str(output), *options]
+    command = [sys.executable, "-m", "sb3_adaptive_q", "study", "--workers", str(WORKERS), "--output", str(output), *options]
     start, peak, samples = time.time(), 0, [(0.0, 0.0)]
     process = psutil.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     while process.poll() is None:
@@ -99,7 +99,7 @@ def main() -> None:
         usage = run_study(Path(folder, "study"))
         cells = pd.read_csv(Path(folder, "study", "results.csv"))
     steps = {
-        (str(system), int(method)): int(n)
+        (str(system), PAPER_METHODS.index(str(method)) + 1): int(n)
         for (system, method), n in cells.groupby(["system", "method"])["steps"].sum().items()
     }
     wall, cpu = time_bare_loops(steps)

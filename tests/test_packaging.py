@@ -198,3 +198,8 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
     assert len(modules) > 100
     graph = {name: imports_of(path, modules) - {name} for name, path in modules.items()}
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, with the circle
+
+
+@pytest.mark.parametrize("path", sorted((PROJECT / "benchmarks").glob("[!_]*.py")), ids=lambda path: path.stem)
+def test_a_benchmark_finds_what_it_measures(path: Path) -> None:
+    assert importlib.import_module(f"benchmarks.{path.stem}").__doc__
