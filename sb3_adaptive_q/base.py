@@ -28,6 +28,7 @@ from sb3_adaptive_q.logs import record_logs
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.prediction import Prediction
 from sb3_adaptive_q.random_numbers import first_counter
+from sb3_adaptive_q.refused_call import Before
 from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
@@ -241,11 +242,12 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         :param progress_bar: whether to show one
         :return: the model
         :raises ValueError: if there is no environment, there are two methods among the callbacks, or a reward is not a
-            finite number
+            finite number. A call that is refused before its first step changes nothing
         :raises RuntimeError: if the model is learning already
         """
         total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)
         training = self._claim()
+        before: Before | None = Before(self)
         try:
             total_timesteps, callback = self._begin(
                 total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
@@ -254,6 +256,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             callback.on_training_start(step_locals, globals())
             record_hyperparameters(self)
             self._rollout = rollout = self._make_rollout(callback, step_locals)
+            before = None
             if self._take_up(rollout):
                 self._learn_from(rollout, log_interval)
             while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
@@ -270,10 +273,13 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
                 self.dump_logs()
             callback.on_training_end()
         except BaseException:
-            self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
+            if before is not None:
+                before.put_back(self)
+            else:
+                self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
             raise
         finally:
-            self._learning = self._rollout = self._unfinished = None
+            self._learning = self._rollout = None
             del training
         return self
 

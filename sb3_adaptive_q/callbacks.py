@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EventCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EvalCallback, EventCallback
 
 from sb3_adaptive_q.checks import RATE, check
 from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
@@ -407,7 +407,8 @@ def _knows_rollouts(callback: BaseCallback) -> bool:
     if isinstance(callback, ConvertCallback) and callback.callback is not None:
         called = callback.callback  # the library wraps functions of its own as well, such as that of LogEveryNTimesteps
     module = getattr(called, "__module__", None) or ""
-    library = module.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "rl_zoo3")
+    package = module.partition(".")[0]
+    library = package in ("stable_baselines3", "sb3_contrib") or (package == "rl_zoo3" and isinstance(callback, EvalCallback))
     return library or getattr(callback, "knows_rollouts", False)
 
 

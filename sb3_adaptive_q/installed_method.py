@@ -60,6 +60,10 @@ class InstalledMethod:
         data = _check_data(data)
         self.data = data._replace(parameters=self._in_order(data))
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A function that is made here cannot be pickled, and is made again where it is missing
+        return {name: value for name, value in vars(self).items() if name != "size_function"}
+
     def _in_order(self, data: MethodData) -> dict[str, float]:
         """Check the functions' arguments, and put the parameters in the same order."""
         arrays = list(data.memory)

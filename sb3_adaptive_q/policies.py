@@ -140,8 +140,9 @@ class TabularQPolicy(BasePolicy):
     ) -> np.ndarray:
         rows = self.q_table.numpy()[states]
         if action_masks is not None:
-            masks = np.asarray(action_masks).reshape(-1, self.n_actions)
-            rows = np.where(check_mask(masks, rows.shape, "`predict`"), rows, -np.inf)
+            masks = np.asarray(action_masks)
+            shape = rows.shape[1:] if masks.ndim == 1 and len(states) == 1 else rows.shape
+            rows = np.where(check_mask(masks, shape, "`predict`"), rows, -np.inf)
         elif ALLOWED in self._buffers:
             rows = np.where(getattr(self, ALLOWED).numpy()[states] > 0.0, rows, -np.inf)
         return choose(rows) + int(self.action_space.start)  # type: ignore[attr-defined]

@@ -125,9 +125,14 @@ class Resumable(SavedAsData):
         :raises ValueError: as in ``learn``
         """
         model: Any = self
-        if self._unfinished is None:
+        begins_anew = self._unfinished is None
+        if begins_anew:
             self._unfinished = Unfinished(model.training.as_data(), None)
-        model.learn(self.remaining_timesteps, callback, self._log_interval, tb_log_name, False, progress_bar)
+        try:
+            model.learn(self.remaining_timesteps, callback, self._log_interval, tb_log_name, False, progress_bar)
+        finally:
+            if begins_anew:
+                self._unfinished = None
         return self
 
     def _go_on(self, reset_num_timesteps: bool) -> None:

@@ -162,7 +162,7 @@ class StepSizeInForce:
         """Set the first μ of a training. This comes before the callbacks, so that one may set another μ."""
         record = self.training.record
         record["holds_mu"] = record["holds_epsilon"] = 0
-        if self.learning_rate is not self._known_learning_rate:  # the user has assigned a new one since the last training
+        if self.learning_rate != self._known_learning_rate:  # the user has assigned a new one since the last training
             self._setup_lr_schedule()  # type: ignore[attr-defined]
             self._known_learning_rate = self.learning_rate
             if self._method is not None:
@@ -190,9 +190,11 @@ class StepSizeInForce:
             ("exploration_fraction", self.exploration_fraction),  # type: ignore[attr-defined]
         ):
             record[name] = value
-        explore = as_python(make_explore(self.choices.behaviour, self.exploration_schedule))  # type: ignore[attr-defined]
-        epsilon = explore(record.view(np.recarray)[0], float(record["progress"][0]))
-        record["epsilon"] = self._rate_check().apply("exploration_schedule", epsilon)
+        schedule, progress = self.exploration_schedule, float(record["progress"][0])  # type: ignore[attr-defined]
+        if callable(schedule):
+            self._rate_check().apply(f"exploration_schedule({progress:g})", schedule(progress))
+        explore = as_python(make_explore(self.choices.behaviour, schedule))
+        record["epsilon"] = explore(record.view(np.recarray)[0], progress)
 
     def _progress_made(self) -> float:
         record = self.training.record[0]

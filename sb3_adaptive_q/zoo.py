@@ -110,6 +110,15 @@ class TabularExperiment(ExperimentManager):
         self.ours.started = True
         return results
 
+    def read_hyperparameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """
+        :return: as in RL Zoo
+        :raises ValueError: if the YAML file has no entries by environment, or this one's has no number of steps
+        """
+        if self.algo in ALGORITHMS and Path(self.config).suffix in (".yml", ".yaml"):
+            check_entry(self.config, self.env_name.gym_id)
+        return super().read_hyperparameters()
+
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
         """Load the model of ``-i``, and resume its training if it is unfinished and the command line changes nothing."""
         if self.algo in ALGORITHMS and not self.custom_hyperparams:
@@ -249,6 +258,30 @@ def method_name(text: str) -> int | str:
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return number
+
+
+def check_entry(path: str, env_id: str) -> None:
+    """
+    :param path: a YAML file of hyperparameters
+    :param env_id: an environment
+    :raises ValueError: if the file is no mapping from environments to entries, or the one to use has no number of steps
+    """
+    try:
+        entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ValueError(f"Cannot read {path}: {error}") from error
+    if not isinstance(entries, dict):
+        raise ValueError(f"{path} must have an entry for each environment, or one named `default`, but holds {entries!r}.")
+    name = env_id if env_id in entries else "default"
+    if name not in entries:
+        return  # RL Zoo says so
+    try:
+        int(entries[name]["n_timesteps"]), entries[name]["policy"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"The entry {name} of {path} must hold hyperparameters, one `name: value` a line, among them a whole number as "
+            f"`n_timesteps` and `policy: MlpPolicy`, but is {entries[name]!r}."
+        ) from error
 
 
 def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:

@@ -456,10 +456,14 @@ class TestPredict:
             assert action == 1 and np.shape(action) == ()
 
     def test_bad_masks(self, model: TabularQ) -> None:
-        with pytest.raises(ValueError, match=r"must have the shape \(2, 3\), but has \(1, 3\)"):
+        with pytest.raises(ValueError, match=r"must have the shape \(2, 3\), but has \(3,\)"):
             model.predict(np.array([0, 1]), action_masks=[1, 1, 0])
         with pytest.raises(ValueError, match="forbids every action"):
             model.predict(0, action_masks=[0, 0, 0])
+        with pytest.raises(ValueError, match=r"must have the shape \(2, 3\), but has \(6,\)"):
+            model.predict(np.array([0, 1]), action_masks=[1, 1, 0, 1, 0, 0])
+        with pytest.raises(ValueError, match="must be 1 for an action that is allowed and 0 for others"):
+            model.predict(0, action_masks=[1, np.nan, 0])
 
     @pytest.mark.parametrize("exploration", EXPLORATIONS)
     @pytest.mark.parametrize("mask", [[1, 1, 1], [1, 0, 1]])

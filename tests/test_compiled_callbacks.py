@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from helpers.both_paths import assert_same, learn, make_model, make_vec, step_alike
+from rl_zoo3.callbacks import RawStatisticsCallback
 from stable_baselines3.common.callbacks import (
     BaseCallback,
     CallbackList,
@@ -230,6 +231,32 @@ class TestStopping:
         assert compiled.n_episodes == ordinary.n_episodes == len(outcome.returns) < (max_episodes + 1) * n_envs
 
     @N_ENVS
+    @pytest.mark.parametrize(
+        "nests",
+        [
+            lambda limit: EveryNTimesteps(50, limit),
+            lambda limit: EveryNTimesteps(7, CallbackList([Note(), limit])),
+            lambda limit: EvalCallback(
+                make_vec(LAKE, False), callback_after_eval=limit, eval_freq=40, n_eval_episodes=1, verbose=0
+            ),
+        ],
+    )
+    def test_after_episodes_that_an_event_counts(self, n_envs, nests):
+        (outcome, _), _ = on_both_paths(lambda path: nests(StopTrainingOnMaxEpisodes(3)), 3000, n_envs)
+        assert 0 < outcome.num_timesteps <= 3000
+
+    @N_ENVS
+    def test_a_limit_that_is_reached_ends_the_next_training_at_once(self, n_envs):
+        steps = []
+        for compiled in (False, True):
+            model, limit = make_model(LAKE, compiled, n_envs, **MODEL), StopTrainingOnMaxEpisodes(3)
+            model.learn(5000, callback=limit)
+            reached = model.num_timesteps
+            model.learn(5000, callback=limit, reset_num_timesteps=False)
+            steps.append((reached, model.num_timesteps - reached))
+        assert steps[0] == steps[1] and steps[1][1] == n_envs
+
+    @N_ENVS
     def test_the_steps_are_exact(self, n_envs):
         for total_timesteps in (1, 2, 100, 1001):
             (outcome, _), _ = on_both_paths(lambda path: [], total_timesteps, n_envs)
@@ -373,6 +400,11 @@ class TestCallbacksOfAUser:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             make_model(LAKE, True).learn(1_000, callback=callback, log_interval=None)
+
+    def test_one_of_rl_zoo_that_needs_every_step_is_warned_of(self, tmp_path):
+        model = make_model(LAKE, True, tensorboard_log=str(tmp_path))
+        with pytest.warns(UserWarning, match="RawStatisticsCallback is called once for a block of many steps"):
+            model.learn(1_000, callback=RawStatisticsCallback(), log_interval=None)
 
     def test_one_that_says_it_knows_is_not_warned_of(self):
         class Knowing(Watch):

@@ -151,6 +151,17 @@ def test_sweep_of_an_argument_of_the_algorithm() -> None:
     assert labels(settings) == ["Method 1, initial_q = 0", "Method 1, initial_q = 1"]
 
 
+@pytest.mark.parametrize("name", ["device", "seed", "total_episodes", "_init_setup_model", "policy"])
+def test_sweep_of_what_is_not_compared_is_refused(name: str) -> None:
+    with pytest.raises(DesignError, match=f"Unknown sweep '{name}'"):
+        StudySettings(sweep=(f"{name}=1,2",)).design()
+
+
+def test_sweep_with_one_number_twice_is_refused() -> None:
+    with pytest.raises(DesignError, match=r"the sweep of gamma must not repeat an entry, but has 1\.0 twice"):
+        StudySettings(sweep=("gamma=1,1.0",)).design()
+
+
 def test_single_value_is_a_setting() -> None:
     settings = StudySettings(methods=("constant",), systems=("FrozenLake-v1",), sweep=("alpha=0.3",))
     (variant,) = settings.design().variants()

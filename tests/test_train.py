@@ -390,6 +390,23 @@ def test_mistakes_are_told_in_a_sentence(arguments: list[str], message: str, run
     assert str(stop.value.code).startswith("error: ")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "bad.yml must have an entry for each environment, or one named `default`, but holds None"),
+        ("FrozenLake-v1:", "The entry FrozenLake-v1 of bad.yml must hold hyperparameters"),
+        ("FrozenLake-v1: [1, 2]", r"among them a whole number as `n_timesteps` and `policy: MlpPolicy`, but is \[1, 2\]"),
+        ("default: {n_timesteps: lots, policy: MlpPolicy}", "The entry default of bad.yml"),
+        ("default: {n_timesteps: 1000}", "The entry default of bad.yml"),
+        ("Taxi-v4: {n_timesteps: 1000}", "Hyperparameters not found for tabular_q-FrozenLake-v1"),
+    ],
+)
+def test_yaml_without_what_is_needed(run: Run, tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "bad.yml").write_text(text)
+    with pytest.raises(SystemExit, match=f"error: .*{message}"):
+        run("-conf", "bad.yml")
+
+
 def test_yaml_that_cannot_be_read(run: Run, tmp_path: Path) -> None:
     (tmp_path / "broken.yml").write_text("FrozenLake-v1: [")
     with pytest.raises(SystemExit, match=r"(?s)error: .*broken\.yml"):

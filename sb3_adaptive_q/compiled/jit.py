@@ -87,6 +87,8 @@ def _compiled_once(function: Callable[..., Any], arguments: tuple[Any, ...]) -> 
         raise CannotCompile(str(error)) from error
     except NumbaError as error:
         raise CannotCompile(_reason(error)) from error
+    except Exception as error:  # what is no error of Numba's own comes through as it is, such as `float(str(mu))`'s
+        raise CannotCompile(f"Numba fails with {type(error).__name__}: {_reason(error)}") from error
 
 
 def _kind(argument: Any) -> Any:
@@ -119,9 +121,9 @@ def _entry_point(dispatcher: Any, signature: tuple[Any, ...]) -> tuple[Callable[
     return code if callable(code) else dispatcher, dispatcher.overloads[signature].signature.return_type
 
 
-def _reason(error: NumbaError) -> str:
+def _reason(error: Exception) -> str:
     """Numba's explanation, as one sentence."""
-    lines = [line.strip() for line in str(error).splitlines()]
+    lines = [line.strip() for line in str(error).splitlines()] or [""]
     told = [
         line
         for line in lines

@@ -162,7 +162,7 @@ def parse_sweep(text: str) -> tuple[str, list[Any]]:
     if not (name and equals and values):
         raise DesignError(f"A sweep is name=value,value,... such as beta_1=0.005,0.01, but got {text!r}.")
     parsed = [_number_or_text(value) for value in values.split(",")]
-    check_selection(f"the sweep of {name}", parsed)
+    check_selection(f"the sweep of {name}", [float(value) if type(value) is int else value for value in parsed])
     return name.replace("-", "_"), parsed
 
 

@@ -2,17 +2,20 @@
 
 from collections.abc import Iterable
 from math import ceil, inf
-from typing import Any
+from typing import Any, TypeGuard
 
 from stable_baselines3.common.callbacks import (
     BaseCallback,
     CallbackList,
     CheckpointCallback,
     EvalCallback,
+    EventCallback,
     EveryNTimesteps,
     ProgressBarCallback,
     StopTrainingOnMaxEpisodes,
 )
+
+from sb3_adaptive_q.callbacks import iterate_callbacks
 
 #: How many steps to search for the next multiple of a frequency that is not a whole number
 _FURTHEST = 1000
@@ -40,6 +43,10 @@ def steps_until_due(callbacks: Iterable[BaseCallback], num_timesteps: int, n_env
 
 
 def _steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> float:
+    if isinstance(callback, EventCallback) and any(map(_counts_episodes, iterate_callbacks(callback))):
+        return 1  # it counts the episodes that end at the step of the event, so it must see that step alone
+    if _counts_episodes(callback) and callback.n_episodes >= callback._total_max_episodes:
+        return 1  # it ends the training at once
     if isinstance(callback, EvalCallback):
         return _steps_until_multiple(callback.n_calls, callback.eval_freq) if callback.eval_freq > 0 else inf
     if isinstance(callback, CheckpointCallback):
@@ -54,7 +61,7 @@ def episodes_until_due(callbacks: Iterable[BaseCallback]) -> float:
     :param callbacks: from :func:`callbacks_of_sb3`
     :return: the number of further episodes after which one of the callbacks acts, at least 1; infinite if none does
     """
-    limits = [each for each in callbacks if isinstance(each, StopTrainingOnMaxEpisodes)]
+    limits = [each for each in callbacks if _counts_episodes(each)]
     return min((max(each._total_max_episodes - each.n_episodes, 1) for each in limits), default=inf)
 
 
@@ -71,6 +78,10 @@ def skip_steps(callbacks: Iterable[BaseCallback], n_steps: int, n_envs: int) -> 
             callback.n_calls += n_steps
         elif isinstance(callback, ProgressBarCallback):
             callback.pbar.update(n_steps * n_envs)
+
+
+def _counts_episodes(callback: BaseCallback) -> TypeGuard[StopTrainingOnMaxEpisodes]:
+    return isinstance(callback, StopTrainingOnMaxEpisodes)
 
 
 def _steps_until_multiple(n_calls: int, frequency: Any) -> int:

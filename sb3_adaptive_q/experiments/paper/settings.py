@@ -57,6 +57,11 @@ PRESETS = MappingProxyType(
 )
 #: What only selects among the runs, and may grow from one start of a study to the next
 SELECTION = ("systems", "algorithms", "methods", "runs", "sweep")
+#: Arguments of the algorithms that are not compared: what they mean here is set in other ways, or decides nothing
+NOT_SWEPT = frozenset(
+    "policy env seed device verbose tensorboard_log stats_window_size policy_kwargs method method_kwargs total_episodes "
+    "callback_interval _init_setup_model args kwargs".split()
+)
 #: Settings that are arguments of the algorithm, and those that shape the paper's methods
 OF_ALGORITHM = ("gamma", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps")
 OF_METHODS = ("beta_1", "beta_2", "beta_3", "beta_5", "beta_6", "beta_7", "beta_8", "preset", "next_action")
@@ -167,6 +172,7 @@ class StudySettings:
             parameters[method] = {name: values for name, values in swept.items() if name in of_method}
         taken = {name for of_method in parameters.values() for name in of_method}
         of_algorithms = {name for each in self.algorithms for name in inspect.signature(algorithm_class(each)).parameters}
+        of_algorithms -= NOT_SWEPT
         for name in swept:
             if name not in taken | of_algorithms:
                 raise unknown_name("sweep", name, sorted(known | of_algorithms))
