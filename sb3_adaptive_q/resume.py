@@ -80,7 +80,7 @@ class Resumable(SavedAsData):
         if saved.algorithm != cls.__name__:
             raise ValueError(
                 f"The file {saved.name} holds a model of {saved.algorithm}, not of {cls.__name__}: call "
-                f"`{saved.algorithm}.resume`."
+                f"`{saved.algorithm}.resume`, or give train.py its name as `--algo`."
             )
         model = cls._build(saved, env, device, False, kwargs)
         model._go_back_to(saved)

@@ -303,8 +303,9 @@ def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
         type=method_name,
         metavar="METHOD",
         help="the method that sets the step size: 1 to 8 for the paper's methods, or one of "
-        f"{', '.join(STEP_SIZES)}. It has its default parameters, and replaces the method or learning rate of the YAML "
-        "file. `python -m sb3_adaptive_q methods` prints their formulas",
+        f"{', '.join(STEP_SIZES)}. It replaces the method or learning rate of the YAML file, with its parameters; "
+        "-params 'method_kwargs:dict(omega=0.6)' changes those of the method. `python -m sb3_adaptive_q methods` prints "
+        "formulas and parameters",
     )
     parser.add_argument(
         "--vec-env",

@@ -54,7 +54,7 @@ def render_all(pictures: Iterable[Picture], workers: int | None, mark: str = "")
 def _render_marked(make: Callable[[], Figure], mark: str) -> bytes:
     figure = make()
     if mark:
-        figure.text(0.005, 0.995, mark, ha="left", va="top", fontsize="small")
+        figure.text(0.005, 0.005, mark, ha="left", va="bottom", fontsize="small")
     content = render(figure, "png")
     del figure
     gc.collect()  # figures are full of reference cycles, and would pile up to a GiB

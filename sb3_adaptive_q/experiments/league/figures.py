@@ -25,6 +25,8 @@ from sb3_adaptive_q.plots.style import tidy
 
 #: Rules whose curves are drawn: more could not be told apart
 MOST_CURVES = 8
+#: Points in the plane that are as near as this, in pixels, touch
+TOUCHING = 13.0
 #: Bootstrap samples of the band around a curve
 BAND_RESAMPLES = 300
 
@@ -58,7 +60,6 @@ def plane_figure(track: Track, rows: Sequence[Standing], sensitivities: Sequence
         marker, filling = MARKERS[i % len(MARKERS)], color if i < len(MARKERS) else "white"
         style = {"color": color, "marker": marker, "markerfacecolor": filling, "linestyle": ""}
         axis.errorbar(loss[row.label], row.score.value, yerr=margins, label=f"{i + 1} {row.label}", capsize=2, **style)
-        axis.annotate(str(i + 1), (loss[row.label], row.score.value), (5, 3), textcoords="offset points", fontsize="x-small")
     # The good rules lie close together near 0, the others far apart
     axis.set_xscale("function", functions=(_signed_root, _signed_square))
     axis.set(
@@ -68,7 +69,21 @@ def plane_figure(track: Track, rows: Sequence[Standing], sensitivities: Sequence
     )
     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="x-small")
     tidy(axis)
+    _number_points(axis, [(loss[row.label], row.score.value) for row in rows])
     return figure
+
+
+def _number_points(axis: Axes, points: Sequence[tuple[float, float]]) -> None:
+    """Write the number of each point beside it, those of points that touch in one place."""
+    places = axis.transData.transform(points)
+    groups: list[list[int]] = []
+    for i, place in enumerate(places):
+        touching = [group for group in groups if np.linalg.norm(places[group] - place, axis=1).min() < TOUCHING]
+        groups = [group for group in groups if group not in touching] + [[*(j for group in touching for j in group), i]]
+    for group in groups:
+        right = max(points[i][0] for i in group), max(points[i][1] for i in group)
+        text = ", ".join(str(i + 1) for i in sorted(group))
+        axis.annotate(text, right, (6, 4), textcoords="offset points", fontsize="x-small")
 
 
 def _signed_root(values: np.ndarray) -> np.ndarray:
@@ -97,11 +112,11 @@ def curves_figure(track: Track, scores: Scores, rows: Sequence[Standing]) -> Fig
     samples = np.stack([bootstrap_aggregates(at[chosen], BAND_RESAMPLES)[..., 0] for at in scores.curves], axis=1)
     for i, rule in enumerate(chosen):
         style = line_style(i)
-        axis.plot(x, values[:, i], label=labels[rule], linewidth=1.5, **style)
+        axis.plot(x, values[:, i], label=labels[rule], linewidth=1.5, marker=MARKERS[i], markevery=(i % 3, 3), ms=5, **style)
         axis.fill_between(x, *band(samples[..., i]), color=style["color"], alpha=0.15, linewidth=0)
     axis.set(xlabel="share of the steps", ylabel="score (interquartile mean)")
     axis.set_title("Learning over all environments, shaded: 95 % bootstrap interval", loc="left", fontsize="medium")
-    axis.legend(loc="lower right", frameon=False, handlelength=3.0)
+    figure.legend(loc="outside right center", frameon=False, handlelength=3.0)
     tidy(axis)
     return figure
 
@@ -150,11 +165,13 @@ def profiles_figure(track: Track, scores: Scores, rows: Sequence[Standing]) -> F
     samples = bootstrap(part, lambda drawn: performance_profile(drawn, thresholds[::5]), BAND_RESAMPLES)
     for i, rule in enumerate(chosen):
         style = line_style(i)
-        axis.plot(thresholds, values[i], label=labels[rule], linewidth=1.5, **style)
+        axis.plot(
+            thresholds, values[i], label=labels[rule], linewidth=1.5, marker=MARKERS[i], markevery=(2 * i, 20), ms=5, **style
+        )
         axis.fill_between(thresholds[::5], *band(samples[:, i]), color=style["color"], alpha=0.15, linewidth=0)
     axis.set(xlabel="score τ", ylabel="share of the runs with a score above τ")
     axis.set_title("Performance profiles, shaded: 95 % bootstrap interval", loc="left", fontsize="medium")
-    axis.legend(loc="lower left", frameon=False, handlelength=3.0)
+    figure.legend(loc="outside right center", frameon=False, handlelength=3.0)
     tidy(axis)
     return figure
 

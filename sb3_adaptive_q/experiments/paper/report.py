@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 
 from sb3_adaptive_q.experiments.options import options_of
-from sb3_adaptive_q.experiments.paper.claims import Judgement, judge_claims
+from sb3_adaptive_q.experiments.paper.claims import NOT_JUDGED, Judgement, judge_claims
 from sb3_adaptive_q.experiments.paper.comparison import (
     Pair,
     Samples,
@@ -60,12 +60,11 @@ def write_report(
 
 
 def _summary(results: Results, settings: StudySettings, judgements: Sequence[Judgement]) -> str:
-    lines = []
-    for system in results.systems:
-        means = {method: values.mean() for method, values in results.samples(system, "mean_last_100").items()}
-        best = max(means, key=lambda method: means[method])
-        lines.append(f"- {title_of(system)}: {best} has the largest mean return of the last 100 episodes, {means[best]:.2f}.")
-    lines += [f"- *{each.verdict.capitalize()}:* {each.claim.text}. Here: {each.reason}." for each in judgements]
+    lines = [f"- {title_of(system)}: {_best(results.samples(system, 'mean_last_100'))}." for system in results.systems]
+    judged = [each for each in judgements if each.verdict != NOT_JUDGED]
+    lines += [f"- *{each.verdict.capitalize()}:* {each.claim.text}. Here: {each.reason}." for each in judged]
+    reasons = dict.fromkeys(each.reason for each in judgements if each.verdict == NOT_JUDGED)
+    lines += [f"- No claim of the paper's is judged: {reason}." for reason in reasons]
     title = "Eight learning-rate methods of Q-learning, compared"
     if len({method for _, method in results.series}) != 8 or not judgements:
         title = "Learning-rate methods, compared"
@@ -73,6 +72,19 @@ def _summary(results: Results, settings: StudySettings, judgements: Sequence[Jud
         f"{join([title_of(system) for system in results.systems])}; {settings.runs} runs of {settings.episodes} episodes each."
     )
     return f"# {title}\n\n{what}\n\n" + "\n".join(lines)
+
+
+def _best(samples: Samples) -> str:
+    best = max(samples, key=lambda method: samples[method].mean())
+    text = f"{best} has the largest mean return of the last 100 episodes, {samples[best].mean():.2f}"
+    if len(samples) < 2 or min(map(len, samples.values())) < 2:
+        return text
+    below = [
+        pair.second if pair.first == best else pair.first
+        for pair in compare_pairs(samples)
+        if best in pair[:2] and pair.is_significant
+    ]
+    return f"{text}, significantly above {join(below) if below else 'no other'}"
 
 
 def _failures(failures: Sequence[Failure]) -> str:
