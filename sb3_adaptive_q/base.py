@@ -1,6 +1,5 @@
 """What all tabular algorithms share: the interface of Stable-Baselines3, and the learning loop."""
 
-import threading
 import warnings
 import weakref
 from collections.abc import Callable
@@ -9,45 +8,33 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch as th
-from stable_baselines3.common.base_class import BaseAlgorithm, maybe_make_env
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.env_util import is_wrapped
-from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
 from stable_baselines3.common.utils import get_device
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
 from sb3_adaptive_q.action_masks import ALLOWED, note_mask
-from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback, warn_of_rare_calls
-from sb3_adaptive_q.checks import ATTRIBUTES, MOST_STEPS, RATE, check
+from sb3_adaptive_q.callbacks import EpisodeSeriesCallback, check_callback
+from sb3_adaptive_q.checks import MOST_STEPS, check
 from sb3_adaptive_q.hyperparameters import record_hyperparameters, run_name
 from sb3_adaptive_q.learned_table import LearnedTable
 from sb3_adaptive_q.logs import record_logs
+from sb3_adaptive_q.one_at_a_time import SETTING_UP, OneAtATime, Training
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.prediction import Prediction
 from sb3_adaptive_q.random_numbers import first_counter
 from sb3_adaptive_q.refused_call import Before
 from sb3_adaptive_q.resume import Resumable, Unfinished
-from sb3_adaptive_q.rollouts.compiled_rollout import CompiledRollout
+from sb3_adaptive_q.rollouts.choice import make_rollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
 from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.training_state import TrainingState, integer_of_state
-from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
-from sb3_adaptive_q.vec_env.protocol import check_is_single_env
+from sb3_adaptive_q.wrapped_environment import WrappedEnvironment
 
 SelfTabularAlgorithm = TypeVar("SelfTabularAlgorithm", bound="TabularAlgorithm")
 
-#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
-_SETTING_UP = threading.Lock()
 
-
-class _Training:
-    """One call of ``learn``."""
-
-
-class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
+class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedEnvironment):
     """
     An algorithm that learns a table of action values, under the interface of Stable-Baselines3.
 
@@ -190,7 +177,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         if self.use_masking:
             self.policy.declare({ALLOWED: (self.policy.n_states, self.policy.n_actions)}, 1.0)
         self._share_mu()
-        self._learning: weakref.ref[_Training] | None = None
+        self._learning: weakref.ref[Training] | None = None
         #: For each environment, the values that its last action was chosen from
         self.considered = np.zeros((self.n_envs, self.policy.n_actions))
         self._install_own_method()
@@ -205,22 +192,6 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         if "policy" in state:
             self._share_mu()
             self._choose_functions()
-
-    def _check_arguments(self) -> None:
-        """Check the attributes that are the constructor's arguments, and make plain types of them."""
-        for name, each in (self.argument_checks() | self._exploration_checks()).items():
-            attribute = ATTRIBUTES.get(name, name)
-            setattr(self, attribute, each.apply(name, getattr(self, attribute)))
-        if callable(self.learning_rate):
-            RATE.apply("learning_rate", self.learning_rate(1.0))
-        if self.method is None and self.method_kwargs:
-            raise ValueError(
-                f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
-            )
-        if "initial_q" in self.policy_kwargs:
-            raise ValueError(
-                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
-            )
 
     def learn(
         self: SelfTabularAlgorithm,
@@ -255,7 +226,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             step_locals = locals()
             callback.on_training_start(step_locals, globals())
             record_hyperparameters(self)
-            self._rollout = rollout = self._make_rollout(callback, step_locals)
+            self._rollout = rollout = make_rollout(self, callback, step_locals)
             before = None
             if self._take_up(rollout):
                 self._learn_from(rollout, log_interval)
@@ -283,20 +254,6 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
             del training
         return self
 
-    def _claim(self) -> _Training:
-        """
-        Mark the model as learning, by a weak reference to what the caller holds: even where an interrupt keeps the caller from
-        taking the mark off, it ends with the call.
-        """
-        training = _Training()
-        with _SETTING_UP:
-            if self._learning is not None and self._learning() is not None:
-                raise RuntimeError(
-                    "This model is learning already: a callback or another thread cannot let it learn once more."
-                )
-            self._learning = weakref.ref(training)
-        return training
-
     def _learn_from(self, rollout: StepRollout, log_interval: int | None) -> None:
         rollout.learn()
         self._current_progress_remaining = 1.0 - self._progress
@@ -322,7 +279,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         if restart:
             self._next_actions = None
         self.episode_series = []
-        with _SETTING_UP:
+        with SETTING_UP:
             total_timesteps, callback = self._setup_learn(
                 total_timesteps, callback, reset_num_timesteps, tb_log_name or run_name(self, callback), progress_bar
             )
@@ -343,31 +300,6 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         self._go_on(reset_num_timesteps)
         return total_timesteps, callback
 
-    def _prepare_update(self) -> None:
-        """
-        Fix what the update works with for this call of ``learn``. Arrays that belong to episodes start anew where these do,
-        and where a parameter has changed that decides on their size.
-        """
-        self._update_parameters = tuple(map(float, self.update_parameters()))
-        working = self.new_working_arrays()
-        if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
-            self._working = working
-        self.check_masks()
-
-    def _make_rollout(self, callback: BaseCallback, step_locals: dict[str, Any]) -> StepRollout:
-        if self.use_masking and isinstance(self.env, CompiledVecEnv):
-            raise ValueError("Compiled environments give no action masks: use LeanVecEnv, or leave `use_masking` out.")
-        if not isinstance(self.env, CompiledVecEnv):
-            if isinstance(self.env, VecEnvWrapper) and isinstance(self.env.unwrapped, CompiledVecEnv):
-                warnings.warn(
-                    f"A CompiledVecEnv inside a {type(self.env).__name__} is stepped like any other environment: for "
-                    "compiled rollouts, hand it over without a wrapper.",
-                    stacklevel=3,
-                )
-            return StepRollout(self, step_locals)
-        warn_of_rare_calls(self, callback)
-        return CompiledRollout(self, step_locals, callback)
-
     def dump_logs(self) -> None:
         """Write the means over the last episodes, and over the updates since the last time, to the log."""
         record_logs(self)
@@ -387,34 +319,10 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, BaseAlgorithm):
         self.training.record["counter"] = first_counter(learning)
         self._predict_generator = np.random.default_rng(predicting)
 
-    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
-        super().set_env(env, force_reset)
-        self._next_actions = None
-
-    @staticmethod
-    def _wrap_env(env: GymEnv | str, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
-        env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
-        if not isinstance(env, VecEnv):
-            check_is_single_env(env)
-            env = _patch_env(env)
-            if not is_wrapped(env, Monitor) and monitor_wrapper:
-                if verbose >= 1:
-                    print("Wrapping the env with a `Monitor` wrapper")
-                env = Monitor(env)
-            if verbose >= 1:
-                print("Wrapping the env in a LeanVecEnv.")
-            wrapped = env
-            env = LeanVecEnv([lambda: wrapped])
-        return BaseAlgorithm._wrap_env(env, verbose, monitor_wrapper)
-
     def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
         if policy_name not in self.policy_aliases:
             raise ValueError(f"Policy {policy_name} unknown: use one of {', '.join(self.policy_aliases)}.")
         return self.policy_aliases[policy_name]
-
-
-def _shapes_of(arrays: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
-    return {name: array.shape for name, array in arrays.items()}
 
 
 def _cpu(device: th.device | str) -> th.device | str:

@@ -7,13 +7,12 @@ import torch as th
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays
-from sb3_adaptive_q.algorithms.declaration import AlgorithmDeclaration
 from sb3_adaptive_q.policies import TabularQPolicy
 from sb3_adaptive_q.step_size_in_force import StepSizeInForce
 from sb3_adaptive_q.vec_env import CompiledVecEnv
 
 
-class LearnedTable(AlgorithmDeclaration, StepSizeInForce):
+class LearnedTable(StepSizeInForce):
     """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: its tables, and the arrays that machine code is given."""
 
     policy: TabularQPolicy
@@ -88,6 +87,17 @@ class LearnedTable(AlgorithmDeclaration, StepSizeInForce):
         shape = self.q_table.shape
         return self.working_arrays(self.n_envs, *shape) | (mask_arrays(shape[1]) if self.use_masking else {})
 
+    def _prepare_update(self) -> None:
+        """
+        Fix what the update works with for this call of ``learn``. Arrays that belong to episodes start anew where these do,
+        and where a parameter has changed that decides on their size.
+        """
+        self._update_parameters = tuple(map(float, self.update_parameters()))
+        working = self.new_working_arrays()
+        if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
+            self._working = working
+        self.check_masks()
+
     def _masks(self) -> np.ndarray:
         return getattr(self.policy, ALLOWED).numpy()
 
@@ -121,3 +131,7 @@ class LearnedTable(AlgorithmDeclaration, StepSizeInForce):
             f"{type(self).__name__}({method}, {self.policy.n_states} states, {self.policy.n_actions} actions, "
             f"{self.num_timesteps} steps learned)"
         )
+
+
+def _shapes_of(arrays: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+    return {name: array.shape for name, array in arrays.items()}

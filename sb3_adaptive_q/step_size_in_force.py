@@ -1,4 +1,4 @@
-"""The part of a tabular algorithm that sets its step size and its exploration rate."""
+"""The part of a tabular algorithm that checks its arguments, and sets its step size and its exploration rate."""
 
 import warnings
 from typing import Any
@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 
+from sb3_adaptive_q.algorithms.declaration import AlgorithmDeclaration
 from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.compiled.jit import as_python
-from sb3_adaptive_q.checks import RATE, RATE_ABOVE_0, TEMPERATURE, Check, check
+from sb3_adaptive_q.checks import ATTRIBUTES, RATE, RATE_ABOVE_0, TEMPERATURE, Check, check
 from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
 from sb3_adaptive_q.rollouts.functions import Choices, make_explore
@@ -20,7 +21,7 @@ from sb3_adaptive_q.training_state import TrainingState, number_of_state
 _NO_BOUNDS = (float("-inf"), float("inf"))
 
 
-class StepSizeInForce:
+class StepSizeInForce(AlgorithmDeclaration):
     """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: its method, its μ and its exploration rate."""
 
     training: TrainingState
@@ -30,6 +31,7 @@ class StepSizeInForce:
     lr_schedule: Any
     method: int | str | None
     method_kwargs: dict[str, Any] | None
+    policy_kwargs: dict[str, Any]
     _method: InstalledMethod | None
     _missing_method: MethodData | None
     _known_learning_rate: Any
@@ -80,7 +82,7 @@ class StepSizeInForce:
         several tables, these are the leading axis.
         """
         arrays = {name: getattr(self.policy, MEMORY + name).numpy() for name in self.policy.memory_names()}
-        return {name: array[0] if self.n_tables == 1 else array for name, array in arrays.items()}  # type: ignore[attr-defined]
+        return {name: array[0] if self.n_tables == 1 else array for name, array in arrays.items()}
 
     def install_method(self, method: InstalledMethod, restart: bool) -> None:
         """
@@ -115,7 +117,7 @@ class StepSizeInForce:
     def _declare_memory(self, method: InstalledMethod) -> None:
         """Make new arrays for the step size."""
         policy: TabularQPolicy = self.policy
-        shape = (self.n_tables, *scope_shape(method.data.scope, policy.n_states, policy.n_actions))  # type: ignore[attr-defined]
+        shape = (self.n_tables, *scope_shape(method.data.scope, policy.n_states, policy.n_actions))
         policy.forget_memory()
         for name, start in method.array_starts.items():
             policy.declare({MEMORY + name: shape}, start)
@@ -219,6 +221,22 @@ class StepSizeInForce:
         self._use_method(None)
         if self.method is not None:
             self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
+
+    def _check_arguments(self) -> None:
+        """Check the attributes that are the constructor's arguments, and make plain types of them."""
+        for name, each in (self.argument_checks() | self._exploration_checks()).items():
+            attribute = ATTRIBUTES.get(name, name)
+            setattr(self, attribute, each.apply(name, getattr(self, attribute)))
+        if callable(self.learning_rate):
+            RATE.apply("learning_rate", self.learning_rate(1.0))
+        if self.method is None and self.method_kwargs:
+            raise ValueError(
+                f"`method_kwargs` are the parameters of a method, but got {self.method_kwargs} without a `method`."
+            )
+        if "initial_q" in self.policy_kwargs:
+            raise ValueError(
+                f"`initial_q` is an argument of {type(self).__name__} itself: please take it out of `policy_kwargs`."
+            )
 
     def _exploration_checks(self) -> dict[str, Check]:
         """The checks of the exploration rates, which depend on the other arguments."""

@@ -1,0 +1,31 @@
+"""A model learns once at a time."""
+
+import threading
+import weakref
+
+#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
+SETTING_UP = threading.Lock()
+
+
+class Training:
+    """One call of ``learn``."""
+
+
+class OneAtATime:
+    """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: it refuses to learn while it learns."""
+
+    _learning: "weakref.ref[Training] | None"
+
+    def _claim(self) -> Training:
+        """
+        Mark the model as learning, by a weak reference to what the caller holds: even where an interrupt keeps the caller from
+        taking the mark off, it ends with the call.
+        """
+        training = Training()
+        with SETTING_UP:
+            if self._learning is not None and self._learning() is not None:
+                raise RuntimeError(
+                    "This model is learning already: a callback or another thread cannot let it learn once more."
+                )
+            self._learning = weakref.ref(training)
+        return training
