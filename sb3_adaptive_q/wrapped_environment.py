@@ -8,6 +8,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.patch_gym import _patch_env
 
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.vec_env import LeanVecEnv
 from sb3_adaptive_q.vec_env.protocol import check_is_single_env
 
@@ -26,6 +27,7 @@ class WrappedEnvironment(BaseAlgorithm):
         env = maybe_make_env(env, verbose)  # `load` and `set_env` take an id too
         if not isinstance(env, VecEnv):
             check_is_single_env(env)
+            make_state_index(env.observation_space)  # raises where SB3's vectorised environments would, in other words
             env = _patch_env(env)
             if not is_wrapped(env, Monitor) and monitor_wrapper:
                 if verbose >= 1:

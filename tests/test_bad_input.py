@@ -57,6 +57,20 @@ class TestSpaces:
         with refused("Discrete action space", f"but got {space}", "gymnasium.ActionWrapper"):
             TabularQ("MlpPolicy", with_spaces(spaces.Discrete(3), space))
 
+    @pytest.mark.parametrize(
+        "space",
+        [
+            spaces.Text(3),
+            spaces.Sequence(spaces.Discrete(2)),
+            spaces.OneOf((spaces.Discrete(2), spaces.Discrete(3))),
+            spaces.Tuple((spaces.Discrete(2), spaces.Text(2))),
+        ],
+        ids=lambda space: type(space).__name__,
+    )
+    def test_spaces_that_no_vectorised_environment_takes(self, space):
+        with refused("Discrete, MultiDiscrete or MultiBinary observation space", "gymnasium.ObservationWrapper"):
+            TabularQ("MlpPolicy", with_spaces(space))
+
     def test_the_policy_alone_refuses_them_too(self):
         policy = lake().policy_class
         with refused("observation space", "but got Box("):
