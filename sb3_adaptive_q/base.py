@@ -213,21 +213,24 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         :param progress_bar: whether to show one
         :return: the model
         :raises ValueError: if there is no environment, there are two methods among the callbacks, or a reward is not a
-            finite number. A call that is refused before its first step changes nothing
+            finite number. Counts, method and memory are then as before; if the environment was reset already, or callbacks
+            had begun, the next call starts a new episode
         :raises RuntimeError: if the model is learning already
         """
         total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)
         training = self._claim()
-        before: Before | None = Before(self)
+        before = Before(self)
         try:
             total_timesteps, callback = self._begin(
                 total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
             )
-            step_locals = locals()
+            # Callbacks keep these variables, and would keep all that is in them
+            step_locals = {name: value for name, value in locals().items() if name not in ("training", "before")}
+            before.callbacks_began = True
             callback.on_training_start(step_locals, globals())
             record_hyperparameters(self)
             self._rollout = rollout = make_rollout(self, callback, step_locals)
-            before = None
+            before.forget()
             if self._take_up(rollout):
                 self._learn_from(rollout, log_interval)
             while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
@@ -244,10 +247,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
                 self.dump_logs()
             callback.on_training_end()
         except BaseException:
-            if before is not None:
-                before.put_back(self)
-            else:
-                self._last_obs = None  # the environment may have moved on without the agent: begin with a reset next time
+            before.put_back(self)
             raise
         finally:
             self._learning = self._rollout = None

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EvalCallback, EventCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList, ConvertCallback, EventCallback
 
 from sb3_adaptive_q.checks import RATE, check
 from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
@@ -383,6 +383,10 @@ def check_callback(callback: Any) -> None:
         raise ValueError(f"One learning-rate method can be in force at a time, but got {', '.join(found)}: pass one of them.")
 
 
+#: The callback of RL Zoo that looks at every step; the others act at some steps only
+NEEDS_EVERY_STEP = "RawStatisticsCallback"
+
+
 def warn_of_rare_calls(model: Any, callback: BaseCallback) -> None:
     """
     Warn of every callback of the user that is called once for many steps and does not declare that it expects that.
@@ -407,9 +411,8 @@ def _knows_rollouts(callback: BaseCallback) -> bool:
     if isinstance(callback, ConvertCallback) and callback.callback is not None:
         called = callback.callback  # the library wraps functions of its own as well, such as that of LogEveryNTimesteps
     module = getattr(called, "__module__", None) or ""
-    package = module.partition(".")[0]
-    library = package in ("stable_baselines3", "sb3_contrib") or (package == "rl_zoo3" and isinstance(callback, EvalCallback))
-    return library or getattr(callback, "knows_rollouts", False)
+    library = module.partition(".")[0] in ("stable_baselines3", "sb3_contrib", "rl_zoo3")
+    return (library and called.__name__ != NEEDS_EVERY_STEP) or getattr(callback, "knows_rollouts", False)
 
 
 def _is_method_number(number: Any) -> bool:

@@ -113,10 +113,10 @@ class TabularExperiment(ExperimentManager):
     def read_hyperparameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """
         :return: as in RL Zoo
-        :raises ValueError: if the YAML file has no entries by environment, or this one's has no number of steps
+        :raises ValueError: if the YAML file has no entries by environment, or this one's lacks what a training needs
         """
-        if self.algo in ALGORITHMS and Path(self.config).suffix in (".yml", ".yaml"):
-            check_entry(self.config, self.env_name.gym_id)
+        if self.algo in ALGORITHMS and not self.trial_id and Path(self.config).suffix in (".yml", ".yaml"):
+            check_entry(self.config, self.env_name.gym_id, self.custom_hyperparams or {})
         return super().read_hyperparameters()
 
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
@@ -260,11 +260,12 @@ def method_name(text: str) -> int | str:
     return number
 
 
-def check_entry(path: str, env_id: str) -> None:
+def check_entry(path: str, env_id: str, changes: dict[str, Any]) -> None:
     """
     :param path: a YAML file of hyperparameters
     :param env_id: an environment
-    :raises ValueError: if the file is no mapping from environments to entries, or the one to use has no number of steps
+    :param changes: hyperparameters of the command line, which replace those of the file
+    :raises ValueError: if the file is no mapping from environments to entries, or this one's lacks its steps or the policy
     """
     try:
         entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -276,8 +277,9 @@ def check_entry(path: str, env_id: str) -> None:
     if name not in entries:
         return  # RL Zoo says so
     try:
-        int(entries[name]["n_timesteps"]), entries[name]["policy"]
-    except (KeyError, TypeError, ValueError) as error:
+        needed = {**entries[name], **changes}
+        int(needed["n_timesteps"]), needed["policy"]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(
             f"The entry {name} of {path} must hold hyperparameters, one `name: value` a line, among them a whole number as "
             f"`n_timesteps` and `policy: MlpPolicy`, but is {entries[name]!r}."

@@ -462,7 +462,7 @@ class TestPredict:
             model.predict(0, action_masks=[0, 0, 0])
         with pytest.raises(ValueError, match=r"must have the shape \(2, 3\), but has \(6,\)"):
             model.predict(np.array([0, 1]), action_masks=[1, 1, 0, 1, 0, 0])
-        with pytest.raises(ValueError, match="must be 1 for an action that is allowed and 0 for others"):
+        with pytest.raises(ValueError, match="`action_masks` must be 1 for an action that is allowed"):
             model.predict(0, action_masks=[1, np.nan, 0])
 
     @pytest.mark.parametrize("exploration", EXPLORATIONS)

@@ -237,13 +237,13 @@ class TestStopping:
             lambda limit: EveryNTimesteps(50, limit),
             lambda limit: EveryNTimesteps(7, CallbackList([Note(), limit])),
             lambda limit: EvalCallback(
-                make_vec(LAKE, False), callback_after_eval=limit, eval_freq=40, n_eval_episodes=1, verbose=0
+                make_vec(LAKE, False), callback_after_eval=limit, eval_freq=10, n_eval_episodes=1, verbose=0
             ),
         ],
     )
     def test_after_episodes_that_an_event_counts(self, n_envs, nests):
         (outcome, _), _ = on_both_paths(lambda path: nests(StopTrainingOnMaxEpisodes(3)), 3000, n_envs)
-        assert 0 < outcome.num_timesteps <= 3000
+        assert 0 < outcome.num_timesteps < 3000
 
     @N_ENVS
     def test_a_limit_that_is_reached_ends_the_next_training_at_once(self, n_envs):

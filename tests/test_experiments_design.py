@@ -151,10 +151,17 @@ def test_sweep_of_an_argument_of_the_algorithm() -> None:
     assert labels(settings) == ["Method 1, initial_q = 0", "Method 1, initial_q = 1"]
 
 
-@pytest.mark.parametrize("name", ["device", "seed", "total_episodes", "_init_setup_model", "policy"])
+@pytest.mark.parametrize("name", ["device", "seed", "total_episodes", "_init_setup_model", "policy", "learning_rate"])
 def test_sweep_of_what_is_not_compared_is_refused(name: str) -> None:
     with pytest.raises(DesignError, match=f"Unknown sweep '{name}'"):
         StudySettings(sweep=(f"{name}=1,2",)).design()
+
+
+def test_sweep_of_an_argument_that_an_algorithm_hands_on() -> None:
+    settings = StudySettings(
+        methods=("1",), systems=("FrozenLake-v1",), algorithms=("n_step",), sweep=("initial_q=0,1", "n=1,2")
+    )
+    assert len(settings.design().variants()) == 4
 
 
 def test_sweep_with_one_number_twice_is_refused() -> None:

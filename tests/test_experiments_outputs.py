@@ -17,6 +17,7 @@ from sb3_adaptive_q.experiments import Execution, ExperimentError, ResultFolder,
 from sb3_adaptive_q.experiments.paper import figures, study
 from sb3_adaptive_q.experiments.paper.command import main
 from sb3_adaptive_q.experiments.paper.figures import all_methods_figure, pair_figure
+from sb3_adaptive_q.experiments.paper.report import best_method
 from sb3_adaptive_q.experiments.paper.results import read_results
 from sb3_adaptive_q.experiments.paper.settings import StudySettings
 from sb3_adaptive_q.experiments.paper.study import run_study
@@ -86,6 +87,17 @@ def test_summary_is_printed_and_begins_the_report(
     printed = capsys.readouterr().out
     assert printed.endswith(f"The report, the tables and the figures are in {tmp_path / 'study'}: open report.html first.\n")
     assert (tmp_path / "study" / "report.md").read_text().startswith(printed.partition("\n\nThe report, the tables")[0])
+
+
+def test_best_method_is_told_with_those_that_it_is_significantly_above() -> None:
+    good, bad, lucky = np.full(20, 10.0), np.zeros(20), np.repeat([0.0, 100.0], [15, 5])
+    assert best_method({"good": good, "bad": bad}).endswith(
+        "good has the largest mean return of the last 100 episodes, 10.00, significantly above bad"
+    )
+    # The largest mean, but worse in three runs of four: the test of ranks is against it
+    assert best_method({"good": good, "lucky": lucky}).startswith("lucky has the largest mean")
+    assert best_method({"good": good, "lucky": lucky}).endswith("significantly above no other")
+    assert best_method({"good": good[:1], "bad": bad[:1]}).endswith("10.00")
 
 
 def test_page_holds_its_pictures_and_every_table(folder: ResultFolder) -> None:

@@ -14,10 +14,12 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 import sb3_adaptive_q
 from sb3_adaptive_q.experiments import Execution
 from sb3_adaptive_q.experiments.league.command import main
+from sb3_adaptive_q.experiments.league.figures import number_points
 from sb3_adaptive_q.experiments.league.league import run_league
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings
 from sb3_adaptive_q.experiments.page import html_page
@@ -195,3 +197,16 @@ def test_page_sorts_numbers_as_numbers_and_texts_after_them(browser: Path) -> No
 def test_page_escapes_its_title_and_holds_no_other_file() -> None:
     page = html_page("# A < B\n\n![picture](a.png)\n", lambda name: b"\x89PNG" + name.encode())
     assert "<title>A &lt; B</title>" in page and 'src="data:image/png;base64,' in page and "a.png" not in page
+
+
+def test_points_that_touch_are_numbered_in_one_place() -> None:
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axis = figure.subplots()
+    points = [(0.0, 0.0), (1.0, 1.0), (1.001, 1.001), (1.0, 0.0)]
+    axis.plot(*zip(*points, strict=True), "o")
+    number_points(figure, axis, points)
+    assert {(each.get_text(), each.xy) for each in axis.texts} == {
+        ("1", (0.0, 0.0)),
+        ("2, 3", (1.001, 1.001)),
+        ("4", (1.0, 0.0)),
+    }

@@ -181,6 +181,11 @@ def test_entries_of_the_yaml_file_learn(env_id: str, run: Run, capsys: pytest.Ca
     assert run.model(env_id).num_timesteps == yaml.safe_load(zoo.CONFIG.read_text())[env_id]["n_timesteps"]
 
 
+def test_evaluations_of_a_compiled_training_are_not_warned_of(run: Run, recwarn: pytest.WarningsRecorder) -> None:
+    run("--vec-env", "compiled", "--eval-freq", "1000")
+    assert not any("is called once for a block" in str(each.message) for each in recwarn)
+
+
 def test_evaluations_end_where_the_environment_has_no_limit(
     run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -398,13 +403,18 @@ def test_mistakes_are_told_in_a_sentence(arguments: list[str], message: str, run
         ("FrozenLake-v1: [1, 2]", r"among them a whole number as `n_timesteps` and `policy: MlpPolicy`, but is \[1, 2\]"),
         ("default: {n_timesteps: lots, policy: MlpPolicy}", "The entry default of bad.yml"),
         ("default: {n_timesteps: 1000}", "The entry default of bad.yml"),
-        ("Taxi-v4: {n_timesteps: 1000}", "Hyperparameters not found for tabular_q-FrozenLake-v1"),
     ],
 )
 def test_yaml_without_what_is_needed(run: Run, tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "bad.yml").write_text(text)
     with pytest.raises(SystemExit, match=f"error: .*{message}"):
         run("-conf", "bad.yml")
+
+
+def test_yaml_that_the_command_line_completes(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "part.yml").write_text("FrozenLake-v1: {n_timesteps: 1000}")
+    run("-conf", "part.yml", "-params", "policy:'MlpPolicy'")
+    assert run.model().num_timesteps >= 1000
 
 
 def test_yaml_that_cannot_be_read(run: Run, tmp_path: Path) -> None:

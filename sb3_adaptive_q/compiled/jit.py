@@ -87,8 +87,6 @@ def _compiled_once(function: Callable[..., Any], arguments: tuple[Any, ...]) -> 
         raise CannotCompile(str(error)) from error
     except NumbaError as error:
         raise CannotCompile(_reason(error)) from error
-    except Exception as error:  # what is no error of Numba's own comes through as it is, such as `float(str(mu))`'s
-        raise CannotCompile(f"Numba fails with {type(error).__name__}: {_reason(error)}") from error
 
 
 def _kind(argument: Any) -> Any:
@@ -103,6 +101,15 @@ def _kind(argument: Any) -> Any:
 
 
 def _compile(function: types.FunctionType, signature: tuple[Any, ...]) -> tuple[Callable[..., Any], Any]:
+    try:
+        return _compile_or_load(function, signature)
+    except (NumbaError, MemoryError):
+        raise
+    except Exception as error:  # such as that of `float(str(mu))`, which Numba tries with a type in place of the number
+        raise CannotCompile(f"Numba fails with {type(error).__name__}: {_reason(error)}") from error
+
+
+def _compile_or_load(function: types.FunctionType, signature: tuple[Any, ...]) -> tuple[Callable[..., Any], Any]:
     try:
         return _entry_point(njit(function, cache=True, **OPTIONS), signature)
     except RuntimeError:  # a read-only installation and no home directory: Numba finds no place for its cache

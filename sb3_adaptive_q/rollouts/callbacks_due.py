@@ -43,8 +43,13 @@ def steps_until_due(callbacks: Iterable[BaseCallback], num_timesteps: int, n_env
 
 
 def _steps_until_due(callback: BaseCallback, num_timesteps: int, n_envs: int) -> float:
+    due = _steps_until_it_acts(callback, num_timesteps, n_envs)
     if isinstance(callback, EventCallback) and any(map(_counts_episodes, iterate_callbacks(callback))):
-        return 1  # it counts the episodes that end at the step of the event, so it must see that step alone
+        return max(due - 1, 1)  # it counts the episodes that end at the step of the event, so it must see that step alone
+    return due
+
+
+def _steps_until_it_acts(callback: BaseCallback, num_timesteps: int, n_envs: int) -> float:
     if _counts_episodes(callback) and callback.n_episodes >= callback._total_max_episodes:
         return 1  # it ends the training at once
     if isinstance(callback, EvalCallback):

@@ -33,3 +33,5 @@ def test_the_page_of_the_study_has_what_the_study_gives(tmp_path: Path) -> None:
         printed = [float(number) for number in re.findall(r"\d\.\d+|\d+\.\d\d", verdict)]
         means = [samples[method].mean() for method in judgement.claim.methods]
         assert printed == [] or printed == pytest.approx(means, abs=0.0051)
+        for finding in re.findall(r"(?:not )?significantly .*", verdict):
+            assert finding in judgement.reason

@@ -187,7 +187,8 @@ def standings(track: Track, scores: Scores, resamples: int) -> list[Standing]:
     ranks = rank_intervals(values[:, 0], samples[..., 0])
     final, online = (estimates(part, resamples) for part in (scores.final, scores.online))
     comparisons = _comparisons(track, values[:, 0], samples[..., 0])
-    with_best = compare_with(int(values[:, 0].argmax()), values[:, 0], samples[..., 0])
+    best = min(range(len(ranks)), key=lambda i: (ranks[i][0], track.contestants[i].label))
+    with_best = compare_with(best, values[:, 0], samples[..., 0])
     rows = []
     for i, rule in enumerate(track.contestants):
         setting = int(np.bincount(scores.settings[i]).argmax())

@@ -69,12 +69,19 @@ def plane_figure(track: Track, rows: Sequence[Standing], sensitivities: Sequence
     )
     axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="x-small")
     tidy(axis)
-    _number_points(axis, [(loss[row.label], row.score.value) for row in rows])
+    number_points(figure, axis, [(loss[row.label], row.score.value) for row in rows])
     return figure
 
 
-def _number_points(axis: Axes, points: Sequence[tuple[float, float]]) -> None:
-    """Write the number of each point beside it, those of points that touch in one place."""
+def number_points(figure: Figure, axis: Axes, points: Sequence[tuple[float, float]]) -> None:
+    """
+    Write the number of each point beside it, those of points that touch in one place.
+
+    :param figure: the figure
+    :param axis: its axes, with all that is drawn in them
+    :param points: their x and y
+    """
+    figure.draw_without_rendering()  # where the points are is known once everything has its place
     places = axis.transData.transform(points)
     groups: list[list[int]] = []
     for i, place in enumerate(places):

@@ -60,11 +60,11 @@ def write_report(
 
 
 def _summary(results: Results, settings: StudySettings, judgements: Sequence[Judgement]) -> str:
-    lines = [f"- {title_of(system)}: {_best(results.samples(system, 'mean_last_100'))}." for system in results.systems]
+    lines = [f"- {title_of(system)}: {best_method(results.samples(system, 'mean_last_100'))}." for system in results.systems]
     judged = [each for each in judgements if each.verdict != NOT_JUDGED]
     lines += [f"- *{each.verdict.capitalize()}:* {each.claim.text}. Here: {each.reason}." for each in judged]
     reasons = dict.fromkeys(each.reason for each in judgements if each.verdict == NOT_JUDGED)
-    lines += [f"- No claim of the paper's is judged: {reason}." for reason in reasons]
+    lines += [f"- *Not judged:* {reason}." for reason in reasons]
     title = "Eight learning-rate methods of Q-learning, compared"
     if len({method for _, method in results.series}) != 8 or not judgements:
         title = "Learning-rate methods, compared"
@@ -74,17 +74,23 @@ def _summary(results: Results, settings: StudySettings, judgements: Sequence[Jud
     return f"# {title}\n\n{what}\n\n" + "\n".join(lines)
 
 
-def _best(samples: Samples) -> str:
+def best_method(samples: Samples) -> str:
+    """
+    :param samples: by method
+    :return: the method with the largest mean, and the methods that it is significantly above, in words
+    """
     best = max(samples, key=lambda method: samples[method].mean())
     text = f"{best} has the largest mean return of the last 100 episodes, {samples[best].mean():.2f}"
     if len(samples) < 2 or min(map(len, samples.values())) < 2:
         return text
-    below = [
-        pair.second if pair.first == best else pair.first
-        for pair in compare_pairs(samples)
-        if best in pair[:2] and pair.is_significant
-    ]
+    wins = [_better_first(pair) for pair in compare_pairs(samples) if pair.is_significant]
+    below = [worse for better, worse in wins if better == best]
     return f"{text}, significantly above {join(below) if below else 'no other'}"
+
+
+def _better_first(pair: Pair) -> tuple[str, str]:
+    """By the test, which compares ranks: a method with the larger mean may be the worse one."""
+    return (pair.first, pair.second) if pair.improvement > 0.5 else (pair.second, pair.first)
 
 
 def _failures(failures: Sequence[Failure]) -> str:

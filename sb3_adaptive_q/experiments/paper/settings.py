@@ -1,6 +1,7 @@
 """What the paper's study holds fixed and what it compares: the paper's settings, and those that a user changes."""
 
 import inspect
+import itertools
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -8,6 +9,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import tyro
+from stable_baselines3.common.base_class import BaseAlgorithm
 
 from sb3_adaptive_q import METHODS
 from sb3_adaptive_q.checks import STUDY
@@ -59,8 +61,8 @@ PRESETS = MappingProxyType(
 SELECTION = ("systems", "algorithms", "methods", "runs", "sweep")
 #: Arguments of the algorithms that are not compared: what they mean here is set in other ways, or decides nothing
 NOT_SWEPT = frozenset(
-    "policy env seed device verbose tensorboard_log stats_window_size policy_kwargs method method_kwargs total_episodes "
-    "callback_interval _init_setup_model args kwargs".split()
+    "policy env seed device verbose tensorboard_log stats_window_size policy_kwargs method method_kwargs learning_rate "
+    "total_episodes callback_interval _init_setup_model args kwargs".split()
 )
 #: Settings that are arguments of the algorithm, and those that shape the paper's methods
 OF_ALGORITHM = ("gamma", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps")
@@ -171,8 +173,7 @@ class StudySettings:
             known |= of_method
             parameters[method] = {name: values for name, values in swept.items() if name in of_method}
         taken = {name for of_method in parameters.values() for name in of_method}
-        of_algorithms = {name for each in self.algorithms for name in inspect.signature(algorithm_class(each)).parameters}
-        of_algorithms -= NOT_SWEPT
+        of_algorithms = {name for each in self.algorithms for name in _arguments(algorithm_class(each))} - NOT_SWEPT
         for name in swept:
             if name not in taken | of_algorithms:
                 raise unknown_name("sweep", name, sorted(known | of_algorithms))
@@ -218,6 +219,12 @@ class StudySettings:
             kwargs |= {"mu_0": self.beta_7, "reset_each_episode": True}
             next_action = next_action or "max"
         return kwargs | ({"next_action": next_action} if next_action else {})
+
+
+def _arguments(algorithm: type[Any]) -> list[str]:
+    """The names of the constructor's arguments, those that it hands on to the classes above it too."""
+    own = itertools.takewhile(lambda each: each is not BaseAlgorithm, algorithm.__mro__)
+    return [name for each in own if "__init__" in vars(each) for name in inspect.signature(each).parameters]
 
 
 def title_of(system: str) -> str:
