@@ -5,7 +5,7 @@ from typing import Any
 
 import psutil
 
-from sb3_adaptive_q.policies import SURELY_FREE
+from sb3_adaptive_q.policies import MEMORY, SURELY_FREE
 
 
 class Before:
@@ -21,7 +21,7 @@ class Before:
         self.attributes = dict(vars(model))
         self.record = model.training.record.copy()
         # What a method replaces are whole arrays, so nothing is copied. But there must be room for the new ones beside them
-        size = sum(buffer.nbytes for buffer in model.policy.buffers())
+        size = sum(buffer.nbytes for name, buffer in model.policy.named_buffers() if name.startswith(MEMORY))
         has_room = size < SURELY_FREE or size < psutil.virtual_memory().available / 4
         self.buffers = dict(model.policy._buffers) if has_room else None
 
