@@ -202,11 +202,12 @@ def test_page_escapes_its_title_and_holds_no_other_file() -> None:
 def test_points_that_touch_are_numbered_in_one_place() -> None:
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axis = figure.subplots()
-    points = [(0.0, 0.0), (1.0, 1.0), (1.001, 1.001), (1.0, 0.0)]
+    points = [(0.0, 0.0), (1.0, 1.0), (1.001, 1.001), (1.0, 0.0), (0.5, 0.5), (0.501, 0.5), (0.499, 0.5)]
     axis.plot(*zip(*points, strict=True), "o")
     number_points(figure, axis, points)
     assert {(each.get_text(), each.xy) for each in axis.texts} == {
         ("1", (0.0, 0.0)),
         ("2, 3", (1.001, 1.001)),
         ("4", (1.0, 0.0)),
+        ("5–7", (0.501, 0.5)),
     }

@@ -89,7 +89,9 @@ def number_points(figure: Figure, axis: Axes, points: Sequence[tuple[float, floa
         groups = [group for group in groups if group not in touching] + [[*(j for group in touching for j in group), i]]
     for group in groups:
         right = max(points[i][0] for i in group), max(points[i][1] for i in group)
-        text = ", ".join(str(i + 1) for i in sorted(group))
+        numbers = [i + 1 for i in sorted(group)]
+        in_a_row = len(group) > 2 and numbers[-1] - numbers[0] == len(group) - 1
+        text = f"{numbers[0]}–{numbers[-1]}" if in_a_row else ", ".join(map(str, numbers))
         axis.annotate(text, right, (6, 4), textcoords="offset points", fontsize="x-small")
 
 
