@@ -185,9 +185,8 @@ def _difference(first: np.ndarray, second: np.ndarray) -> Estimate:
 
 
 def _significantly_below(samples: Samples) -> set[tuple[str, str]]:
-    """The pairs of methods of which the first has the smaller mean, and the test tells them apart."""
-    found = [pair for pair in compare_pairs(samples) if pair.is_significant]
-    return {(pair.first, pair.second) if pair.difference < 0 else (pair.second, pair.first) for pair in found}
+    """The pairs of methods that the test tells apart, the worse one first."""
+    return {pair.worse_and_better for pair in compare_pairs(samples) if pair.is_significant}
 
 
 def _some(methods: list[str], samples: Samples) -> str:

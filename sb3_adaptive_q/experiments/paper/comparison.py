@@ -37,6 +37,11 @@ class Pair(NamedTuple):
         """Whether the difference is significant."""
         return self.p_value < SIGNIFICANCE
 
+    @property
+    def worse_and_better(self) -> tuple[str, str]:
+        """The two by the test, which compares ranks: the one with the larger mean may be the worse one."""
+        return (self.second, self.first) if self.improvement > 0.5 else (self.first, self.second)
+
 
 def mean(sample: np.ndarray, axis: int = -1) -> Any:
     """The arithmetic mean."""

@@ -83,14 +83,9 @@ def best_method(samples: Samples) -> str:
     text = f"{best} has the largest mean return of the last 100 episodes, {samples[best].mean():.2f}"
     if len(samples) < 2 or min(map(len, samples.values())) < 2:
         return text
-    wins = [_better_first(pair) for pair in compare_pairs(samples) if pair.is_significant]
-    below = [worse for better, worse in wins if better == best]
+    apart = [pair.worse_and_better for pair in compare_pairs(samples) if pair.is_significant]
+    below = [worse for worse, better in apart if better == best]
     return f"{text}, significantly above {join(below) if below else 'no other'}"
-
-
-def _better_first(pair: Pair) -> tuple[str, str]:
-    """By the test, which compares ranks: a method with the larger mean may be the worse one."""
-    return (pair.first, pair.second) if pair.improvement > 0.5 else (pair.second, pair.first)
 
 
 def _failures(failures: Sequence[Failure]) -> str:
