@@ -211,3 +211,14 @@ def test_points_that_touch_are_numbered_in_one_place() -> None:
         ("4", (1.0, 0.0)),
         ("5–7", (0.501, 0.5)),
     }
+
+
+def test_points_are_numbered_where_they_are_drawn() -> None:
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axis = figure.subplots()
+    axis.set_xlim(0.0, 1.0)
+    points = [(0.2, 0.5), (0.24, 0.5)]
+    axis.plot(*zip(*points, strict=True), "o", label="a label that takes half of the figure")
+    figure.legend(loc="outside right center")
+    number_points(figure, axis, points)
+    assert [each.get_text() for each in axis.texts] == ["1, 2"]

@@ -82,6 +82,13 @@ def test_a_new_training_that_is_refused_leaves_what_was_learned(compiled, argume
     assert model.num_timesteps == 1200 and model.memory["visits"].sum() == 1200
 
 
+def test_a_first_call_that_is_refused_leaves_no_attribute_behind():
+    model = make_model(LAKE, False, seed=1)
+    before = set(vars(model))
+    refuse(model, reset=True, callback=Refuses())
+    assert set(vars(model)) == before
+
+
 @PATHS
 def test_a_schedule_out_of_range(compiled):
     model = make_model(LAKE, compiled, method="polynomial", seed=1).learn(600)
@@ -138,6 +145,9 @@ def test_a_stopped_training_keeps_its_goal():
     with pytest.raises(ValueError):
         model.finish(tb_log_name=3)
     assert model.remaining_timesteps == 700
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # that it gives a resumed training up would be wrong
+        copy.deepcopy(model).learn(50)
     model.learn(50, reset_num_timesteps=False)  # a training of its own, not the rest of the other
     assert model.num_timesteps == 350 and model.remaining_timesteps == 0
 
