@@ -293,7 +293,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
                 note_mask(self._masks(), state, info)
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
-        record["total_timesteps"] = min(int(self._total_timesteps), MOST_STEPS)
+        record["total_timesteps"] = min(max(int(self._total_timesteps), 1), MOST_STEPS)  # progress is a share of it
         record["total_episodes"] = self._total_episodes if self.total_episodes else 0
         self._start_step_size(reset_num_timesteps)
         self._start_exploration()

@@ -2,9 +2,11 @@
 Behaviour policies: how an action is chosen, what the policy expects of a state, and which action is best. Plain functions,
 compiled into the learning loop.
 
-A policy looks at the first of the algorithm's tables. Every ``choose(tables, state, epsilon, draws)`` draws from the agent's
-counter in a stated order. Every ``expect(tables, values, state, epsilon)`` gives Σ_a π(a|s) values[s, a], for the policy π
-that ``choose`` follows. ``best(tables, values, state)`` gives argmax_a values[s, a] and its value.
+A policy looks at the first of the algorithm's tables, of shape (n_states, n_actions).
+``choose(tables, state, epsilon, draws)`` gives an action; it draws from the agent's counter in a stated order. ``epsilon`` is
+the exploration rate, with Boltzmann exploration the temperature. ``expect(tables, values, state, epsilon)`` gives
+Σ_a π(a|s) values[s, a], for the policy π that ``choose`` follows. ``best(tables, values, state)`` gives argmax_a values[s, a],
+the first of them in a tie, and its value.
 ``show(tables, state, row)`` writes what the policy looks at into a row. Where actions are masked,
 :mod:`sb3_adaptive_q.action_masks` makes the same functions of the allowed actions.
 """
@@ -13,45 +15,67 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from sb3_adaptive_q.random_numbers import uniform
 
+#: From this number of actions on, :func:`search_wide` is faster
+WIDE = 16
 
-def first_greedy(table, state):
+
+def search(table, state):
     """
     :param table: action values, of shape (n_states, n_actions)
     :param state: the row
-    :return: the action of the largest value, the first of them in a tie
+    :return: the action of the largest value, the first of them in a tie; that value; and how many actions have it
     """
-    return first_best((), table, state)[0]
-
-
-def largest(table, state):
-    """
-    :param table: action values, of shape (n_states, n_actions)
-    :param state: the row
-    :return: max_a table[state, a]
-    """
-    best_value = table[state, 0]
+    row = np.uint64(state)  # machine code need not ask whether it counts from the end
+    best_action, best_value, n_best = 0, table[row, 0], 1
     for action in range(1, table.shape[1]):
-        if table[state, action] > best_value:
-            best_value = table[state, action]
-    return best_value
-
-
-def random_greedy(table, state, draws):
-    """
-    :param table: action values, of shape (n_states, n_actions)
-    :param state: the row
-    :param draws: the agent's counter; one number is drawn where several actions are best, none elsewhere
-    :return: one of the actions of the largest value
-    """
-    best_action, best_value, n_best = 0, table[state, 0], 1
-    for action in range(1, table.shape[1]):
-        value = table[state, action]
+        value = table[row, action]
         if value > best_value:
             best_action, best_value, n_best = action, value, 1
         elif value == best_value:
             n_best += 1
+    return best_action, best_value, n_best
+
+
+def search_wide(table, state):
+    """As :func:`search`, for many actions: four comparisons go side by side, and then several by one instruction."""
+    row, n_actions, n_best, place = np.uint64(state), table.shape[1], 0, 0
+    first = second = third = fourth = table[row, 0]
+    for action in range(0, n_actions // 4 * 4, 4):
+        first = larger(table[row, action], first)
+        second = larger(table[row, action + 1], second)
+        third = larger(table[row, action + 2], third)
+        fourth = larger(table[row, action + 3], fourth)
+    for action in range(n_actions // 4 * 4, n_actions):
+        first = larger(table[row, action], first)
+    best_value = larger(larger(first, second), larger(third, fourth))
+    for action in range(n_actions):
+        n_best += 1 if table[row, action] == best_value else 0
+        place += action if table[row, action] == best_value else 0
+    if n_best == 1:
+        return place, best_value, 1
+    for action in range(n_actions):
+        if table[row, action] == best_value:
+            return action, best_value, n_best
+    return 0, best_value, 1  # not a number
+
+
+def larger(value, other):
+    """The larger of two numbers."""
+    return value if value > other else other
+
+
+def take_first(table, state, search, draws):
+    """The first of the best actions."""
+    return search(table, state)[0]
+
+
+def take_any(table, state, search, draws):
+    """One of the best actions; a number is drawn where there are several, none elsewhere."""
+    best_action, best_value, n_best = search(table, state)
     if n_best == 1:
         return best_action
     place = int(uniform(draws) * n_best)
@@ -63,18 +87,103 @@ def random_greedy(table, state, draws):
     return best_action
 
 
-def first_best(tables, values, state):
+def make_epsilon_greedy(search, take):
     """
-    :param tables: unused
-    :param values: of shape (n_states, n_actions)
-    :param state: the row
-    :return: the action of the largest value, the first of them in a tie; and that value
+    :param search: finds the best action
+    :param take: takes one of the best actions
+    :return: the ε-greedy policy's ``choose``. It draws once, and again where it explores or breaks a tie at random
     """
-    best_action, best_value = 0, values[state, 0]
-    for action in range(1, values.shape[1]):
-        if values[state, action] > best_value:
-            best_action, best_value = action, values[state, action]
-    return best_action, best_value
+
+    def epsilon_greedy(tables, state, epsilon, draws):
+        if uniform(draws) < epsilon:
+            return int(uniform(draws) * tables[0].shape[1])
+        return take(tables[0], state, search, draws)
+
+    return epsilon_greedy
+
+
+def value_of_first(table, values, state, best_action, best_value):
+    """The value of the first of the best actions."""
+    return values[state, best_action]
+
+
+def mean_of_best(table, values, state, best_action, best_value):
+    """The mean value of the best actions, in ``values`` of those whose value in ``table`` is ``best_value``."""
+    total, n_best = 0.0, 0
+    for action in range(table.shape[1]):
+        if table[state, action] == best_value:
+            total, n_best = total + values[state, action], n_best + 1
+    return total if n_best == 1 else total / n_best
+
+
+def make_expect_epsilon_greedy(search, greedy_value):
+    """
+    :param search: finds the best action
+    :param greedy_value: the value of the greedy part of the policy, where it is not the largest value itself
+    :return: the ``expect`` of an ε-greedy policy
+    """
+
+    def expect_epsilon_greedy(tables, values, state, epsilon):
+        table, total = tables[0], 0.0
+        for action in range(table.shape[1]):
+            total += values[state, action]
+        best_action, best_value, _ = search(table, state)
+        greedy_part = best_value if values is table else greedy_value(table, values, state, best_action, best_value)
+        return epsilon * (total * (1.0 / table.shape[1])) + (1.0 - epsilon) * greedy_part
+
+    return expect_epsilon_greedy
+
+
+def make_boltzmann(search):
+    """
+    :param search: finds the best action
+    :return: the ``choose`` of the Boltzmann policy, π(a|s) in proportion to exp(Q(s, a) / temperature). It draws once
+    """
+
+    def boltzmann(tables, state, temperature, draws):
+        table, total = tables[0], 0.0
+        best_value = search(table, state)[1]
+        for action in range(table.shape[1]):
+            total += math.exp((table[state, action] - best_value) / temperature)
+        rest = uniform(draws) * total
+        for action in range(table.shape[1] - 1):
+            rest -= math.exp((table[state, action] - best_value) / temperature)
+            if rest < 0.0:
+                return action
+        return table.shape[1] - 1
+
+    return boltzmann
+
+
+def make_expect_boltzmann(search):
+    """
+    :param search: finds the best action
+    :return: the ``expect`` of the Boltzmann policy
+    """
+
+    def expect_boltzmann(tables, values, state, temperature):
+        table, total, weighted = tables[0], 0.0, 0.0
+        best_value = search(table, state)[1]
+        for action in range(table.shape[1]):
+            weight = math.exp((table[state, action] - best_value) / temperature)
+            total += weight
+            weighted += weight * values[state, action]
+        return weighted / total
+
+    return expect_boltzmann
+
+
+def make_best(search):
+    """
+    :param search: finds the best action
+    :return: the ``best`` of every policy: the first of the best actions, and its value
+    """
+
+    def best(tables, values, state):
+        action, value, _ = search(values, state)
+        return action, value
+
+    return best
 
 
 def show_all(tables, state, row):
@@ -87,119 +196,6 @@ def show_all(tables, state, row):
         row[action] = tables[0][state, action]
 
 
-def epsilon_greedy_first(tables, state, epsilon, draws):
-    """
-    The ε-greedy policy that takes the first of the best actions. It draws once, and again where it explores.
-
-    :param tables: of action values first, of shape (n_states, n_actions)
-    :param state: the state to act in
-    :param epsilon: the probability of a uniformly random action
-    :param draws: the agent's counter
-    :return: the action
-    """
-    if uniform(draws) < epsilon:
-        return int(uniform(draws) * tables[0].shape[1])
-    return first_greedy(tables[0], state)
-
-
-def epsilon_greedy_random(tables, state, epsilon, draws):
-    """
-    The ε-greedy policy that takes any of the best actions. It draws once, and again where it explores or finds a tie.
-
-    :param tables: of action values first, of shape (n_states, n_actions)
-    :param state: the state to act in
-    :param epsilon: the probability of a uniformly random action
-    :param draws: the agent's counter
-    :return: the action
-    """
-    if uniform(draws) < epsilon:
-        return int(uniform(draws) * tables[0].shape[1])
-    return random_greedy(tables[0], state, draws)
-
-
-def value_of_first(table, values, state, best_value):
-    """
-    :param table: what the policy looks at, of shape (n_states, n_actions)
-    :param values: what is averaged, of the same shape
-    :param state: the row
-    :param best_value: unused
-    :return: the value of the first of the best actions
-    """
-    return values[state, first_greedy(table, state)]
-
-
-def mean_of_best(table, values, state, best_value):
-    """
-    :param table: what the policy looks at, of shape (n_states, n_actions)
-    :param values: what is averaged, of the same shape
-    :param state: the row
-    :param best_value: max_a table[state, a]
-    :return: the mean value of the best actions
-    """
-    total, n_best = 0.0, 0
-    for action in range(table.shape[1]):
-        if table[state, action] == best_value:
-            total, n_best = total + values[state, action], n_best + 1
-    return total if n_best == 1 else total / n_best
-
-
-def make_expect_epsilon_greedy(greedy_value: Callable[..., float]) -> Callable[..., float]:
-    """
-    :param greedy_value: the value of the greedy part of the policy, where it is not the largest value itself
-    :return: the expectation of an ε-greedy policy
-    """
-
-    def expect_epsilon_greedy(tables, values, state, epsilon):
-        table, total, best_value = tables[0], values[state, 0], tables[0][state, 0]
-        for action in range(1, table.shape[1]):
-            total += values[state, action]
-            if table[state, action] > best_value:
-                best_value = table[state, action]
-        greedy_part = best_value if values is table else greedy_value(table, values, state, best_value)
-        return epsilon * (total * (1.0 / table.shape[1])) + (1.0 - epsilon) * greedy_part
-
-    return expect_epsilon_greedy
-
-
-def boltzmann(tables, state, temperature, draws):
-    """
-    The Boltzmann policy, π(a|s) in proportion to exp(Q(s, a) / temperature). It draws once.
-
-    :param tables: of action values first, of shape (n_states, n_actions)
-    :param state: the state to act in
-    :param temperature: above 0, in the unit of the values
-    :param draws: the agent's counter
-    :return: the action
-    """
-    table = tables[0]
-    best_value, total = largest(table, state), 0.0
-    for action in range(table.shape[1]):
-        total += math.exp((table[state, action] - best_value) / temperature)
-    rest = uniform(draws) * total
-    for action in range(table.shape[1] - 1):
-        rest -= math.exp((table[state, action] - best_value) / temperature)
-        if rest < 0.0:
-            return action
-    return table.shape[1] - 1
-
-
-def expect_boltzmann(tables, values, state, temperature):
-    """
-    :param tables: what the policy looks at first, of shape (n_states, n_actions)
-    :param values: what is averaged, of the same shape
-    :param state: the row
-    :param temperature: above 0, in the unit of the values
-    :return: the expectation of ``values`` under the Boltzmann policy
-    """
-    table = tables[0]
-    best_value, total, weighted = largest(table, state), 0.0, 0.0
-    for action in range(table.shape[1]):
-        weight = math.exp((table[state, action] - best_value) / temperature)
-        total += weight
-        weighted += weight * values[state, action]
-    return weighted / total
-
-
 class Behaviour(NamedTuple):
     """A behaviour policy; see the top of this module for the arguments of its functions."""
 
@@ -209,19 +205,29 @@ class Behaviour(NamedTuple):
     show: Callable[..., None]
 
 
-#: By the names of the constructor's arguments ``exploration`` and ``ties``
-BEHAVIOURS = {
-    ("epsilon_greedy", "first"): Behaviour(
-        epsilon_greedy_first, make_expect_epsilon_greedy(value_of_first), first_best, show_all
-    ),
-    ("epsilon_greedy", "random"): Behaviour(
-        epsilon_greedy_random, make_expect_epsilon_greedy(mean_of_best), first_best, show_all
-    ),
-    ("boltzmann", "first"): Behaviour(boltzmann, expect_boltzmann, first_best, show_all),
-    ("boltzmann", "random"): Behaviour(boltzmann, expect_boltzmann, first_best, show_all),
-}
 EXPLORATIONS = ("epsilon_greedy", "boltzmann")
 TIES = ("random", "first")
+
+
+def make_behaviour(exploration: str, ties: str, search: Callable[..., tuple[int, float, int]]) -> Behaviour:
+    """
+    :param exploration: one of ``EXPLORATIONS``
+    :param ties: one of ``TIES``
+    :param search: finds the best action
+    :return: the behaviour policy
+    """
+    if exploration == "boltzmann":
+        return Behaviour(make_boltzmann(search), make_expect_boltzmann(search), make_best(search), show_all)
+    take, greedy_value = (take_first, value_of_first) if ties == "first" else (take_any, mean_of_best)
+    choose, expect = make_epsilon_greedy(search, take), make_expect_epsilon_greedy(search, greedy_value)
+    return Behaviour(choose, expect, make_best(search), show_all)
+
+
+_NAMES = [(exploration, ties) for exploration in EXPLORATIONS for ties in TIES]
+#: By the names of the constructor's arguments ``exploration`` and ``ties``
+BEHAVIOURS = {name: make_behaviour(*name, search) for name in _NAMES}
+#: The same for tables with ``WIDE`` actions and more
+WIDE_BEHAVIOURS = {name: make_behaviour(*name, search_wide) for name in _NAMES}
 
 
 def linear(progress, initial, final, fraction):

@@ -59,6 +59,25 @@ def random_float(generator):
     return float(rotated >> _S11) * _UNIT
 
 
+def draw_place(cumulative, generator):
+    """
+    Draw from probabilities, as gymnasium's ``categorical_sample`` does.
+
+    :param cumulative: cumulative probabilities, of shape (n,)
+    :param generator: as for :func:`random_float`
+    :return: the first place whose cumulative probability is above the number drawn; 0 where rounding leaves none
+    """
+    # NumPy's searchsorted does the same, and takes 0.6 s to compile
+    number, low, high = random_float(generator), 0, cumulative.shape[0]
+    while low < high:
+        middle = (low + high) >> 1
+        if cumulative[middle] <= number:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < cumulative.shape[0] else 0
+
+
 def first_counter(seed: np.random.SeedSequence) -> int:
     """
     :param seed: where the agent's random numbers come from

@@ -141,7 +141,7 @@ class StepSizeInForce(AlgorithmDeclaration):
         model: Any = self
         self.choices = Choices(
             model.update_function(), size, rule, (model.exploration, model.ties), model.exploration_schedule,
-            model.use_masking, model.chooses_before_update,
+            model.use_masking, model.policy.n_actions, model.chooses_before_update,
         )  # fmt: skip
 
     def _schedule_rule(self) -> Any:

@@ -10,8 +10,8 @@ from sb3_adaptive_q.compiled.records import LEARNER
 _NAMES = LEARNER.names or ()
 #: What the attributes of a model decide, and what tells of a refused transition
 _NOT_RESTORED = {
-    "gamma", "exploration_initial", "exploration_final", "exploration_fraction", "mu_0", "next_action", "resets_mu", "refused",
-    "value",
+    "gamma", "exploration_initial", "exploration_final", "exploration_fraction", "mu_0", "next_action", "resets_mu", "value",
+    "refused_size", "refused_mu", "refused_epsilon",
 }  # fmt: skip
 _PLACES = {name: place for place, name in enumerate(_NAMES)}
 

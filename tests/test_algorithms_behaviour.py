@@ -29,7 +29,7 @@ from sb3_adaptive_q import (
     TabularQ,
 )
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, SCHEDULES, TIES, expect_boltzmann, linear
+from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, SCHEDULES, TIES, WIDE_BEHAVIOURS, Behaviour, linear, search_wide
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.random_numbers import uniform
 from sb3_adaptive_q.rollouts import step_rollout
@@ -62,7 +62,10 @@ def probabilities(name: tuple[str, str], values: np.ndarray, rate: float) -> np.
 @pytest.mark.parametrize("mask", MASKS)
 @pytest.mark.parametrize("name", BEHAVIOURS, ids="-".join)
 @pytest.mark.parametrize("state", range(3))
+@pytest.mark.parametrize("behaviours", [BEHAVIOURS, WIDE_BEHAVIOURS], ids=["narrow", "wide"])
 class TestPolicies:
+    """Those for many actions do the same; here, where their first step takes in whole rows and parts of rows."""
+
     rate = 0.4
 
     def tables(self, mask: str) -> tuple[np.ndarray, ...]:
@@ -74,29 +77,43 @@ class TestPolicies:
         chances[allowed] = probabilities(name, TABLE[state][allowed], self.rate)
         return chances
 
-    def test_expectation(self, name: tuple[str, str], mask: str, state: int) -> None:
+    def test_expectation(self, behaviours: dict[Any, Behaviour], name: tuple[str, str], mask: str, state: int) -> None:
         """Of other values, and of those that the policy looks at."""
         chances = self.expected(name, mask, state)
-        policies = [make_masked(BEHAVIOURS[name])] + ([BEHAVIOURS[name]] if mask == "all" else [])
+        policies = [make_masked(behaviours[name])] + ([behaviours[name]] if mask == "all" else [])
         for policy in policies:
             for values in (VALUES, TABLE):
                 found = policy.expect(self.tables(mask), values, state, self.rate)
                 np.testing.assert_allclose(found, chances @ values[state], rtol=1e-14)
 
-    def test_choice(self, name: tuple[str, str], mask: str, state: int) -> None:
+    def test_choice(self, behaviours: dict[Any, Behaviour], name: tuple[str, str], mask: str, state: int) -> None:
         """The seed is fixed; of other seeds, one in 10 000 would fail."""
         chances, draws, n_draws = self.expected(name, mask, state), np.array([7], np.uint64), 3000
-        choose = as_python(make_masked(BEHAVIOURS[name]).choose)
+        choose = as_python(make_masked(behaviours[name]).choose)
         counts = np.bincount([choose(self.tables(mask), state, self.rate, draws) for _ in range(n_draws)], minlength=4)
         possible = chances > 0.0
         assert (counts[~possible] == 0).all()
         if possible.sum() > 1:
             assert stats.chisquare(counts[possible], n_draws * chances[possible]).pvalue > 1e-4
 
-    def test_best(self, name: tuple[str, str], mask: str, state: int) -> None:
+    def test_best(self, behaviours: dict[Any, Behaviour], name: tuple[str, str], mask: str, state: int) -> None:
         allowed = np.where(MASKS[mask][state], VALUES[state], -np.inf)
-        action, value = make_masked(BEHAVIOURS[name]).best(self.tables(mask), VALUES, state)
+        action, value = make_masked(behaviours[name]).best(self.tables(mask), VALUES, state)
         assert (action, value) == (allowed.argmax(), allowed.max())
+
+
+@given(
+    st.lists(st.sampled_from([-1.5, -0.0, 0.0, 0.25, 3.0, np.inf, -np.inf]) | st.floats(-1.0, 1.0), min_size=1, max_size=70)
+)
+def test_the_best_of_many_actions(values: list[float]) -> None:
+    """As NumPy finds it, from one action to many."""
+    row = np.array(values)
+    action, value, n_best = search_wide(np.stack([row - 9.0, row, row + 9.0]), 1)
+    assert (action, value, n_best) == (row.argmax(), row.max(), np.count_nonzero(row == row.max()))
+
+
+def test_no_action_is_out_of_range_where_all_values_are_nan() -> None:
+    assert search_wide(np.full((1, 30), np.nan), 0)[0] == 0
 
 
 def in_python(patch: pytest.MonkeyPatch) -> None:
@@ -564,15 +581,15 @@ def test_a_schedule_ends_at_the_very_number(name: str, initial: float, final: fl
 def test_the_largest_value_may_stand_anywhere(best: int) -> None:
     """It is subtracted before the exponential, which would overflow else."""
     table = np.where(np.arange(3) == best, 1000.0, 0.0)[None]
-    choose = as_python(BEHAVIOURS["boltzmann", "first"].choose)
-    assert choose((table,), 0, 1.0, counter_that_draws(0.5)) == best
-    assert as_python(expect_boltzmann)((table,), np.arange(3.0)[None], 0, 1.0) == best
+    policy = BEHAVIOURS["boltzmann", "first"]
+    assert as_python(policy.choose)((table,), 0, 1.0, counter_that_draws(0.5)) == best
+    assert as_python(policy.expect)((table,), np.arange(3.0)[None], 0, 1.0) == best
 
 
 def test_a_small_temperature_overflows_nowhere() -> None:
     """The differences to the largest value are what is exponentiated: e^1000 is no float."""
     table = np.array([[0.0, 1000.0, 999.0]])
-    assert expect_boltzmann((table,), table, 0, 0.1) == pytest.approx(1000.0, abs=0.001)
+    assert BEHAVIOURS["boltzmann", "first"].expect((table,), table, 0, 0.1) == pytest.approx(1000.0, abs=0.001)
 
 
 @given(*[st.floats(0.0, 1.0)] * 4)

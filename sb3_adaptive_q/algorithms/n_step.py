@@ -17,6 +17,7 @@ from sb3_adaptive_q.algorithms.td_update import (
 from sb3_adaptive_q.base import TabularAlgorithm
 from sb3_adaptive_q.checks import Check, check_range, one_of, whole_number
 from sb3_adaptive_q.policies import check_memory
+from sb3_adaptive_q.step_sizes.cells import scalar_size
 from sb3_adaptive_q.step_sizes.step import Step
 
 
@@ -140,9 +141,7 @@ def make_n_step(
         keep_row(kept, table, t)
         # A rule sees every transition as the one-step algorithm would
         td_error = t.reward + agent.gamma * next_value - value
-        step = Step(
-            t.state, t.action, t.state, t.action, 0.0, value, next_value, td_error, agent.progress, agent.gamma, agent.mu
-        )  # fmt: skip
+        step = scalar_size(memory, agent, t, value, next_value, td_error)
         oldest, n_taken = ends[env, 0], ends[env, 1]
         newest = in_circle(oldest + n_taken, taken)
         taken[newest, 0], taken[newest, 1], rewards[newest] = t.state, t.action, t.reward

@@ -103,10 +103,11 @@ def td_update(table, agent, size, memory, t, target, next_value):
     :param next_value: the value inside the target, for the step size to see
     :return: the update, as a :class:`Step`
     """
-    value = table[t.state, t.action]
+    row, column = np.uint64(t.state), np.uint64(t.action)  # machine code need not ask whether these count from the end
+    value = table[row, column]
     step = size(memory, agent, t, value, next_value, target - value)
     if is_sound(step):
-        table[t.state, t.action] = value + step.size * step.td_error
+        table[row, column] = value + step.size * step.td_error
     return step
 
 
@@ -145,7 +146,7 @@ def choose_after(tables, values, agent, choose, draws, t, step, best_value):
         return action, seen_by_rule(step, best_value)
     meant = t.action if agent.next_action == SAME_ACTION else action
     is_updated_entry = t.next_state == t.state and meant == t.action
-    return action, seen_by_rule(step, step.value if is_updated_entry else values[t.next_state, meant])
+    return action, seen_by_rule(step, step.value if is_updated_entry else values[np.uint64(t.next_state), np.uint64(meant)])
 
 
 def keep_row(kept, values, t):

@@ -21,8 +21,8 @@ from sb3_adaptive_q.compiled.records import (
 )
 from sb3_adaptive_q.step_sizes.step import Step
 
-#: What may be wrong with a transition or with what was computed from it
-SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE, STEP_SIZE_OUT_OF_RANGE, RULE_OUT_OF_RANGE, EXPLORATION_OUT_OF_RANGE = range(6)
+#: What may be wrong with a transition, or with the update that it led to
+SOUND, REWARD_NOT_FINITE, STATE_OUT_OF_RANGE, UPDATE_REFUSED = range(4)
 
 
 def go_on(t, action):
@@ -45,14 +45,15 @@ def make_learn_one(update, size, rule, behaviour, explore):
     :param rule: forms the scalar step size that the next update starts from
     :param behaviour: the :class:`sb3_adaptive_q.behaviour.Behaviour`
     :param explore: the exploration rate by the progress, from a :class:`Fixed`
-    :return: a function that learns from one transition and chooses what to do next
+    :return: a function that learns from one transition and chooses what to do next. It tells whether the step size, the μ
+        after it and the exploration rate are in range
     """
     choose, expect, best, _ = behaviour
 
     def learn_one(tables, memory, fixed, now, num_timesteps, draws, t, env):
         epsilon, progress, n_episodes = now.epsilon, now.progress, now.n_episodes
         if fixed.total_episodes == 0:
-            progress = min(num_timesteps / max(fixed.total_timesteps, 1), 1.0)
+            progress = min(num_timesteps / fixed.total_timesteps, 1.0)
             if fixed.holds_epsilon == 0:
                 epsilon = explore(fixed, progress)
         rate = epsilon if epsilon >= 0.0 else now.epsilon  # one that is refused below must not enter the tables
@@ -71,32 +72,20 @@ def make_learn_one(update, size, rule, behaviour, explore):
             mu = now.mu
         else:
             mu = rule(now.mu, at_progress(step, progress), *memory.parameters)
-        status = SOUND
-        if not (is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0):
-            status = cause_of_refusal(step, epsilon)
+        sound = is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0
         now = Now(
             mu, epsilon, progress, n_episodes, now.n_updates + 1, now.mu_sum + step.size, min(now.mu_min, step.size),
             max(now.mu_max, step.size), now.td_error_sum + abs(step.td_error),
         )  # fmt: skip
-        return action, status, now, step
+        return action, sound, now, step
 
     return learn_one
 
 
-def cause_of_refusal(step, epsilon):
-    """What was wrong where an update, the μ after it or the exploration rate is refused."""
-    if not epsilon >= 0.0:
-        return EXPLORATION_OUT_OF_RANGE
-    return RULE_OUT_OF_RANGE if is_sound(step) else STEP_SIZE_OUT_OF_RANGE
-
-
-def refuse(learner, status, now, step):
-    """Leave the counters as they are, and say what was wrong."""
-    learner.value = step.value
-    if status == EXPLORATION_OUT_OF_RANGE:
-        learner.refused = now.epsilon
-    else:
-        learner.refused = step.size if status == STEP_SIZE_OUT_OF_RANGE else now.mu
+def refuse(learner, now, step):
+    """Note what was computed, and leave the counters as they are."""
+    learner.value, learner.refused_size = step.value, step.size
+    learner.refused_mu, learner.refused_epsilon = now.mu, now.epsilon
 
 
 def make_update_loop(learn_one, show, chooses_before_update):
@@ -104,8 +93,8 @@ def make_update_loop(learn_one, show, chooses_before_update):
     :param learn_one: from :func:`make_learn_one`
     :param show: writes what the behaviour policy looks at into a row
     :param chooses_before_update: whether the next action is drawn from the table before the update
-    :return: a function that learns from one transition of an ordinary environment; it returns the next action, or minus
-        the status where the transition was refused. For each environment it notes the values that the action was chosen from
+    :return: a function that learns from one transition of an ordinary environment; it returns the next action, or -1
+        where the update was refused. For each environment it notes the values that the action was chosen from
     """
 
     def update_loop(tables, memory, learner, draws, transition, env, considered):
@@ -116,10 +105,10 @@ def make_update_loop(learn_one, show, chooses_before_update):
         if chooses_before_update:
             show(tables, next_state, considered[env])
         fixed, num_timesteps = load_fixed(learner[0]), learner[0].num_timesteps
-        action, status, now, step = learn_one(tables, known, fixed, before, num_timesteps, draws, t, env)
-        if status != SOUND:
-            refuse(learner[0], status, now, step)
-            return -status
+        action, sound, now, step = learn_one(tables, known, fixed, before, num_timesteps, draws, t, env)
+        if not sound:
+            refuse(learner[0], now, step)
+            return -1
         store_now(learner[0], now)
         if done or not chooses_before_update:
             show(tables, start_state, considered[env])
@@ -178,9 +167,10 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
         while True:
             if pending:
                 num_timesteps = steps_before + n_steps
-                action, status, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, 0)
-                if status != SOUND:
-                    refuse(learner[0], status, later, update)
+                action, sound, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, 0)
+                if not sound:
+                    refuse(learner[0], later, update)
+                    status = UPDATE_REFUSED
                     break
                 now, t = later, go_on(t, action)
             pending = False
@@ -231,10 +221,10 @@ def make_several_loop(  # noqa: C901  # one function of machine code
             if pending:
                 for i in range(len(envs)):
                     t = load_transition(envs[i])
-                    action, status, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, i)
-                    if status != SOUND:
-                        refuse(learner[0], status, later, update)
-                        culprit = i
+                    action, sound, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, i)
+                    if not sound:
+                        refuse(learner[0], later, update)
+                        status, culprit = UPDATE_REFUSED, i
                         break
                     now = later
                     store_transition(envs[i], go_on(t, action))

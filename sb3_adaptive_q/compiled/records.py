@@ -48,8 +48,8 @@ def _fields(kind: type) -> list[tuple[str, type]]:
 #: The scalars of a learner: what a training holds fixed, what every transition moves, and the agent's random counter
 LEARNER = np.dtype(
     [
-        *_fields(Fixed), *_fields(Now), ("num_timesteps", np.int64), ("n_logged", np.int64), ("refused", np.float64),
-        ("value", np.float64), ("counter", np.uint64),
+        *_fields(Fixed), *_fields(Now), ("num_timesteps", np.int64), ("n_logged", np.int64), ("value", np.float64),
+        ("refused_size", np.float64), ("refused_mu", np.float64), ("refused_epsilon", np.float64), ("counter", np.uint64),
     ]
 )  # fmt: skip
 #: An environment: its last transition, and the episode that it is in

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.tables import Start, Table
-from sb3_adaptive_q.random_numbers import random_float
+from sb3_adaptive_q.random_numbers import draw_place
 from sb3_adaptive_q.vec_env import Dynamics
 from sb3_adaptive_q.vec_env.readings import Readings
 
@@ -158,8 +158,7 @@ class ClockDynamics(Dynamics):
         :param generator: to draw from
         :return: the state to begin with
         """
-        first = np.searchsorted(parameters.start, random_float(generator), side="right")
-        return (float(first if first < parameters.start.shape[0] else 0), state[1])
+        return float(draw_place(parameters.start, generator)), state[1]
 
     @staticmethod
     def index(parameters: Any, state: Any) -> int:

@@ -199,7 +199,7 @@ class CompiledRollout(StepRollout):
                 f"{self.model.num_timesteps} it gave {int(env['next_state'])} for the next state and "
                 f"{int(env['start_state'])} for the one after a reset: please check it."
             )
-        self.refuse(status, int(env["state"]), int(env["action"]))
+        self.refuse(int(env["state"]), int(env["action"]))
 
     def _steps_left(self) -> int:
         return ceil((self.model._total_timesteps - self.model.num_timesteps) / self.n_envs)

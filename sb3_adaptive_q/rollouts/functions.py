@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, SCHEDULES, Behaviour
+from sb3_adaptive_q.behaviour import BEHAVIOURS, SCHEDULES, WIDE, WIDE_BEHAVIOURS, Behaviour
 from sb3_adaptive_q.compiled.loops import make_learn_one, make_update_loop
 
 
@@ -18,6 +18,7 @@ class Choices(NamedTuple):
     :param behaviour: a key of ``BEHAVIOURS``
     :param exploration_schedule: a name in ``SCHEDULES``, or a plain function of the progress
     :param masked: whether the behaviour keeps to the actions that a mask allows
+    :param n_actions: columns of the table
     :param chooses_before_update: whether the algorithm draws the next action from the table before the update
     """
 
@@ -27,6 +28,7 @@ class Choices(NamedTuple):
     behaviour: tuple[str, str]
     exploration_schedule: str | Callable[[float], float]
     masked: bool
+    n_actions: int
     chooses_before_update: bool
 
     def learn_one(self) -> Callable[..., Any]:
@@ -46,7 +48,7 @@ class Choices(NamedTuple):
         """
         :return: what the behaviour policy is made of
         """
-        behaviour = BEHAVIOURS[self.behaviour]
+        behaviour = (WIDE_BEHAVIOURS if self.n_actions >= WIDE else BEHAVIOURS)[self.behaviour]
         return make_masked(behaviour) if self.masked else behaviour
 
 

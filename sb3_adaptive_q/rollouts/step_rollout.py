@@ -10,7 +10,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q.action_masks import note_mask
 from sb3_adaptive_q.callbacks import Episodes
-from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, machine_code
 
 #: A transition with the types that machine code takes
@@ -133,7 +132,7 @@ class StepRollout:
             transition = (states[i], actions[i], reward, next_state, terminated, done, start_state)
             action = update(tables, memory, learner, draws, transition, i, considered)
             if action < 0:
-                self.refuse(-action, states[i], actions[i])
+                self.refuse(states[i], actions[i])
             states[i], actions[i] = start_state, action
         self.transitions = []
         self.model._last_obs = self.new_obs
@@ -188,21 +187,20 @@ class StepRollout:
             ended = [info for info, done in zip(self.infos, self.dones, strict=True) if done]
             self.model._update_info_buffer(ended, [True] * len(ended))
 
-    def refuse(self, status: int, state: int, action: int) -> NoReturn:
+    def refuse(self, state: int, action: int) -> NoReturn:
         """
-        :param status: the status of the update that was refused
-        :param state: the state that it started from
+        :param state: the state that the refused update started from
         :param action: its action
         :raises ValueError: always; the table is as it was where the algorithm changes one entry
         """
         model, learner = self.model, self.learner[0]
-        value = float(learner["refused"])
-        if status == loops.EXPLORATION_OUT_OF_RANGE:
+        if not learner["refused_epsilon"] >= 0.0:
             who, what = "`exploration_schedule`", "exploration rates from 0 to 1 (temperatures above 0)"
             given = ""
         else:
-            who = model.own_functions()
-            what, given = "step sizes from 0 to 1", f" {value!r}"
+            sizes = float(learner["refused_size"]), float(learner["refused_mu"])
+            who, what = model.own_functions(), "step sizes from 0 to 1"
+            given = f" {next(size for size in sizes if not 0.0 <= size <= 1.0)!r}"
         if model.updates_one_entry:
             model.q_table[state, action] = learner["value"]
         raise ValueError(

@@ -18,7 +18,8 @@ class Step(NamedTuple):
 
     :param state: s_t, counted from 0
     :param action: a_t, counted from 0
-    :param row: the row of the cell that belongs to this update in the arrays of the memory
+    :param row: the row of the cell that belongs to this update in the arrays of the memory. Row and column are unsigned
+        numbers, meant as indices: compute with ``state`` and ``action``
     :param column: the column of that cell
     :param count: updates of that cell, this one included; 0 where the step size does not ask for counts
     :param value: Q_t(s_t, a_t), before the update

@@ -10,7 +10,7 @@ from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
 
 from sb3_adaptive_q.compiled.loops import check_nothing
-from sb3_adaptive_q.random_numbers import random_float
+from sb3_adaptive_q.random_numbers import draw_place, random_float
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid
 from sb3_adaptive_q.vec_env.readings import Readings
 
@@ -80,15 +80,15 @@ class TabularDynamics(Dynamics):
 
     @staticmethod
     def reset(parameters, generator):
-        """Draw the first state, as gymnasium's ``categorical_sample`` does."""
-        state = np.searchsorted(parameters.initial, random_float(generator), side="right")
-        return state if state < parameters.initial.shape[0] else 0
+        """Draw the first state."""
+        return draw_place(parameters.initial, generator)
 
     @staticmethod
     def step(parameters, state, action, generator):
         """Draw an outcome. Counting without a branch is fastest if there are few."""
         number = random_float(generator)
         outcome = 0
+        state, action = np.uint64(state), np.uint64(action)  # machine code need not ask whether these count from the end
         for i in range(len(parameters.comparisons) or parameters.outcomes.shape[2] - 1):
             outcome += 1 if parameters.outcomes[state, action, i]["cumulative"] <= number else 0
         drawn = parameters.outcomes[state, action, outcome]

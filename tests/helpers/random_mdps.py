@@ -10,6 +10,7 @@ from gymnasium.wrappers import TimeLimit
 from stable_baselines3.common.monitor import Monitor
 
 from sb3_adaptive_q import METHODS, STEP_SIZES, CompiledVecEnv, LeanVecEnv, TabularQ
+from sb3_adaptive_q.behaviour import WIDE
 
 #: Outcomes of an action, as many as FrozenLake has: machine code is made for their number
 N_OUTCOMES = 3
@@ -20,14 +21,15 @@ class RandomMDP(gym.Env):
     Draws from a random table, as gymnasium's toy-text environments do from theirs.
 
     :param seed: decides the table
+    :param wide: whether there are many actions
     """
 
     compile_by_table = True
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, wide: bool) -> None:
         draw = np.random.default_rng(seed)
         n_states = int(draw.choice([1, 2, 3, int(draw.integers(4, 30)), int(draw.integers(30, 301))]))
-        n_actions = int(draw.integers(1, 7))
+        n_actions = int(draw.integers(WIDE, 3 * WIDE) if wide else draw.integers(1, 7))
         self.observation_space, self.action_space = spaces.Discrete(n_states), spaces.Discrete(n_actions)
         # Sums of eighths are exact, so that every row ends at 1
         weights = draw.multinomial(8, [1 / N_OUTCOMES] * N_OUTCOMES, (n_states, n_actions)) / 8
@@ -83,6 +85,7 @@ class Case(NamedTuple):
     :param limit: steps after which an episode is truncated; None for no limit
     :param steps: environment steps of each environment
     :param arguments: further arguments of the model
+    :param wide: whether the process has many actions
     """
 
     kind: type[Any]
@@ -92,10 +95,11 @@ class Case(NamedTuple):
     limit: int | None
     steps: int
     arguments: dict[str, Any]
+    wide: bool
 
     def make_envs(self) -> list[gym.Env]:
         """The environments, without a Monitor."""
-        envs: list[gym.Env] = [RandomMDP(self.seed) for _ in range(self.n_envs)]
+        envs: list[gym.Env] = [RandomMDP(self.seed, self.wide) for _ in range(self.n_envs)]
         return envs if self.limit is None else [TimeLimit(env, self.limit) for env in envs]
 
     def make_vec_env(self, compiled: bool) -> LeanVecEnv:
@@ -150,8 +154,10 @@ def make_case(number: int, pairs: list[tuple[type[Any], int | str | None]]) -> C
     }
     if step_size is None:
         arguments["learning_rate"] = float(draw.choice([0.0, 1.0, draw.random()]))
+    wide = False
     if kind is TabularQ and step_size == 7:  # these are compiled anew, so one pair stands for all
         arguments.update([{"ties": "first"}, {"exploration_schedule": "constant"}, {}][draw.integers(3)])
+        wide = bool(draw.random() < 0.5)
     return Case(
         kind,
         step_size,
@@ -160,4 +166,5 @@ def make_case(number: int, pairs: list[tuple[type[Any], int | str | None]]) -> C
         None if draw.random() < 0.3 else int(draw.integers(1, 40)),
         int(draw.integers(30, 250)),
         arguments,
+        wide,
     )
