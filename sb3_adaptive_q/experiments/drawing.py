@@ -5,7 +5,9 @@ from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -15,6 +17,7 @@ from sb3_adaptive_q.plots.style import COLORS, LINE_STYLES, STYLE
 MARKERS = "osD^vPX*<>hp"
 #: Dots per inch of PNG files, and of the dense curves inside PDF files
 RESOLUTION = 150
+_STYLE: Any = {**STYLE, "path.simplify_threshold": 1.0}
 
 
 class Picture(NamedTuple):
@@ -55,31 +58,51 @@ def _render_marked(make: Callable[[], Figure], mark: str) -> bytes:
     figure = make()
     if mark:
         figure.text(0.005, 0.005, mark, ha="left", va="bottom", fontsize="small")
-    content = render(figure, "png")
+    image = paint(figure)
     del figure
     gc.collect()  # figures are full of reference cycles, and would pile up to a GiB
-    return content
+    return png_of(image)
 
 
-def render(figure: Figure, kind: str) -> bytes:
+def paint(figure: Figure) -> Image.Image:
     """
     :param figure: a figure
-    :param kind: ``"png"`` or ``"pdf"``
-    :return: the content of its file, which is the same whenever it is made
+    :return: its picture
     """
-    buffer = BytesIO()
-    with rc_context({**STYLE, "path.simplify_threshold": 1.0}):
-        layout = figure.get_layout_engine()
-        if layout is not None:  # with it, saving would draw everything twice, and find all places again the next time
-            figure.set_dpi(RESOLUTION)
-            layout.execute(figure)
-            figure.set_layout_engine(None)
-        figure.savefig(buffer, format=kind, dpi=RESOLUTION, metadata={"CreationDate": None} if kind == "pdf" else None)
-    return _few_colors(buffer) if kind == "png" else buffer.getvalue()
+    with rc_context(_STYLE):
+        _lay_out(figure)
+        figure.set_dpi(RESOLUTION)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def _few_colors(png: BytesIO) -> bytes:
-    """The same picture with 128 colours, in a third of the size: a report holds dozens of them."""
-    smaller = BytesIO()
-    Image.open(png).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(smaller, format="png")
-    return smaller.getvalue()
+def png_of(image: Image.Image) -> bytes:
+    """
+    :param image: from :func:`paint`
+    :return: the content of its PNG file, with 128 colours and so of a third of the size: a report holds dozens of them
+    """
+    content = BytesIO()
+    image.quantize(128, dither=Image.Dither.NONE).save(content, format="png")
+    return content.getvalue()
+
+
+def pdf_of(figure: Figure) -> bytes:
+    """
+    :param figure: a figure
+    :return: the content of its PDF file, which is the same whenever it is made
+    """
+    content = BytesIO()
+    with rc_context(_STYLE):
+        _lay_out(figure)
+        figure.savefig(content, format="pdf", dpi=RESOLUTION, metadata={"CreationDate": None})
+    return content.getvalue()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Find all places once: with its layout engine, saving would draw everything twice, and find them again the next time."""
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        figure.set_dpi(RESOLUTION)
+        layout.execute(figure)
+        figure.set_layout_engine(None)

@@ -3,6 +3,7 @@
 import gc
 import sys
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pandas as pd
@@ -59,7 +60,7 @@ def write_outputs(
     :return: the report
     """
     # Here, because the workers and a start that goes wrong need none of these
-    from sb3_adaptive_q.experiments.drawing import render
+    from sb3_adaptive_q.experiments.drawing import paint, pdf_of, png_of
     from sb3_adaptive_q.experiments.page import html_page
     from sb3_adaptive_q.experiments.paper.figures import make_figures
     from sb3_adaptive_q.experiments.paper.report import write_report
@@ -80,11 +81,15 @@ def write_outputs(
         folder.write(f"table_{number}.md", f"{text}\n")
     gc.freeze()  # what is there already need not be looked through after every figure
     shown: dict[str, list[tuple[str, str]]] = {}
-    for system, name, caption, figure in make_figures(results, settings.gamma):
-        for kind in ("png", "pdf"):
-            folder.write(f"figures/{name}.{kind}", render(figure, kind))
-        shown.setdefault(system, []).append((f"figures/{name}", caption))
-        gc.collect()  # figures are full of reference cycles, and would pile up to a GiB
+    contents: dict[str, Future[bytes]] = {}
+    with ThreadPoolExecutor(1) as background:  # another core chooses colours and packs, while this one draws
+        for system, name, caption, figure in make_figures(results, settings.gamma):
+            contents[f"figures/{name}.png"] = background.submit(png_of, paint(figure))
+            folder.write(f"figures/{name}.pdf", pdf_of(figure))
+            shown.setdefault(system, []).append((f"figures/{name}", caption))
+            gc.collect()  # figures are full of reference cycles, and would pile up to a GiB
+    for name, content in contents.items():
+        folder.write(name, content.result())
     report = write_report(results, settings, shown, failures)
     folder.write("report.md", report)
     folder.write("report.html", html_page(report, lambda name: (folder.path / name).read_bytes()))
