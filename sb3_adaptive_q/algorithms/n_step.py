@@ -11,7 +11,6 @@ from sb3_adaptive_q.algorithms.td_update import (
     is_sound,
     keep_row,
     kept_value,
-    seen_by_rule,
     td_update,
 )
 from sb3_adaptive_q.base import TabularAlgorithm
@@ -165,7 +164,7 @@ def make_n_step(
         ends[env, 0], ends[env, 1] = oldest, n_taken
         if not chooses_before_update and not t.terminated:
             action = choose(tables, t.next_state, agent.epsilon, draws)
-        return action, seen_by_rule(step, kept_value(kept, agent, t, action, best_value))
+        return action, step, kept_value(kept, agent, t, action, best_value)
 
     return n_step
 

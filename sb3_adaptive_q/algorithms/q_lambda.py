@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.td_update import is_sound, keep_row, kept_value, seen_by_rule, value_for_rule
+from sb3_adaptive_q.algorithms.td_update import is_sound, keep_row, kept_value, value_for_rule
 from sb3_adaptive_q.algorithms.traces import MARKS, TraceAlgorithm, forget, sweep, visit
 from sb3_adaptive_q.checks import Check, one_of
 
@@ -34,7 +34,7 @@ def make_watkins(mark: Callable[..., float], size_of: Callable[..., float]) -> C
             sweep(tables, agent.env, step, size_of, step.td_error, (1.0, decay, threshold))
             if t.done:
                 forget(tables, agent.env)
-        return action, seen_by_rule(step, seen)
+        return action, step, seen
 
     return watkins_q_lambda
 
@@ -58,7 +58,7 @@ def make_naive(mark: Callable[..., float], size_of: Callable[..., float]) -> Cal
             if t.done:
                 forget(tables, agent.env)
         action = 0 if t.terminated else choose(tables, t.next_state, agent.epsilon, draws)
-        return action, seen_by_rule(step, kept_value(kept, agent, t, action, best_value))
+        return action, step, kept_value(kept, agent, t, action, best_value)
 
     return naive_q_lambda
 
@@ -87,7 +87,7 @@ def make_peng(mark: Callable[..., float], size_of: Callable[..., float]) -> Call
             if t.done:
                 forget(tables, agent.env)
         action = 0 if t.terminated else choose(tables, t.next_state, agent.epsilon, draws)
-        return action, seen_by_rule(step, kept_value(kept, agent, t, action, best_value))
+        return action, step, kept_value(kept, agent, t, action, best_value)
 
     return peng_q_lambda
 

@@ -1,6 +1,6 @@
 """SARSA (Rummery and Niranjan, 1994)."""
 
-from sb3_adaptive_q.algorithms.td_update import seen_by_rule, td_update, value_for_rule
+from sb3_adaptive_q.algorithms.td_update import td_update, value_for_rule
 from sb3_adaptive_q.base import TabularAlgorithm
 
 
@@ -17,7 +17,7 @@ def sarsa(tables, agent, size, choose, expect, best, memory, draws, t):
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
-    :return: the next action, and the update as the rule sees it
+    :return: the next action, the update, and Q_t(s', ·) for the rule
     """
     action, value = 0, 0.0
     if not t.terminated:
@@ -25,7 +25,7 @@ def sarsa(tables, agent, size, choose, expect, best, memory, draws, t):
         value = tables[0][t.next_state, action]
     seen = value_for_rule(tables, agent, best, t, action)
     step = td_update(tables[0], agent, size, memory, t, t.reward + agent.gamma * value, value)
-    return action, seen_by_rule(step, seen)
+    return action, step, seen
 
 
 class SARSA(TabularAlgorithm):

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sb3_adaptive_q.algorithms.td_update import is_sound, seen_by_rule, value_for_rule
+from sb3_adaptive_q.algorithms.td_update import is_sound, value_for_rule
 from sb3_adaptive_q.algorithms.traces import MARKS, TraceAlgorithm, forget, mix_sizes, size_in_trace, sweep, visit
 from sb3_adaptive_q.checks import FLAG, Check
 
@@ -31,7 +31,7 @@ def make_sarsa_lambda(mark: Callable[..., float], size_of: Callable[..., float])
             sweep(tables, agent.env, step, size_of, step.td_error, (1.0, agent.gamma * trace_decay, threshold))
             if t.done:
                 forget(tables, agent.env)
-        return action, seen_by_rule(step, seen)
+        return action, step, seen
 
     return sarsa_lambda
 
@@ -51,7 +51,7 @@ def true_online_sarsa_lambda(tables, agent, size, choose, expect, best, memory, 
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
-    :return: the next action, and the update as the rule sees it
+    :return: the next action, the update, and Q_t(s', ·) for the rule
     """
     action, next_value, value = 0, 0.0, tables[0][t.state, t.action]
     if not t.terminated:
@@ -70,7 +70,7 @@ def true_online_sarsa_lambda(tables, agent, size, choose, expect, best, memory, 
         if t.done:
             forget(tables, env)
             old_values[env] = 0.0
-    return action, seen_by_rule(step, seen)
+    return action, step, seen
 
 
 class SARSALambda(TraceAlgorithm):

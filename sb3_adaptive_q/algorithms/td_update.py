@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sb3_adaptive_q.step_sizes.step import Step
 
 SAME_ACTION, NEXT_ACTION, MAXIMUM = range(3)
 #: What a method's ``next_action`` may be, and the code by which the functions below know it
@@ -137,16 +136,16 @@ def choose_after(tables, values, agent, choose, draws, t, step, best_value):
     :param t: the transition
     :param step: the update
     :param best_value: max_a Q_t(s', a) before the update, where the rule asks for it
-    :return: the action (0 where s' is terminal), and the update as the rule for the next step size sees it
+    :return: the action (0 where s' is terminal), the update, and the value of s' for the rule
     """
     if t.terminated:
-        return 0, seen_by_rule(step, 0.0)
+        return 0, step, 0.0
     action = choose(tables, t.next_state, agent.epsilon, draws)
     if agent.next_action == MAXIMUM:
-        return action, seen_by_rule(step, best_value)
+        return action, step, best_value
     meant = t.action if agent.next_action == SAME_ACTION else action
     is_updated_entry = t.next_state == t.state and meant == t.action
-    return action, seen_by_rule(step, step.value if is_updated_entry else values[np.uint64(t.next_state), np.uint64(meant)])
+    return action, step, step.value if is_updated_entry else values[np.uint64(t.next_state), np.uint64(meant)]
 
 
 def keep_row(kept, values, t):
@@ -192,15 +191,3 @@ def value_for_rule(tables, agent, best, t, next_action):
     if agent.next_action == MAXIMUM:
         return best(tables, tables[0], t.next_state)[1]
     return tables[0][t.next_state, t.action if agent.next_action == SAME_ACTION else next_action]
-
-
-def seen_by_rule(step, next_value):
-    """
-    :param step: an update
-    :param next_value: Q_t(s', a) with the action that the method's ``next_action`` names
-    :return: the update as the rule for the next step size sees it
-    """
-    return Step(
-        step.state, step.action, step.row, step.column, step.count, step.value, next_value, step.td_error, step.progress,
-        step.gamma, step.size,
-    )  # fmt: skip

@@ -30,10 +30,10 @@ def go_on(t, action):
     return Transition(t.start_state, action, t.reward, t.next_state, t.terminated, t.done, t.start_state)
 
 
-def at_progress(step, progress):
-    """The update with the progress after it."""
+def seen_by_rule(step, next_value, progress):
+    """The update as the rule for the next step size sees it."""
     return Step(
-        step.state, step.action, step.row, step.column, step.count, step.value, step.next_value, step.td_error, progress,
+        step.state, step.action, step.row, step.column, step.count, step.value, next_value, step.td_error, progress,
         step.gamma, step.size,
     )  # fmt: skip
 
@@ -58,7 +58,7 @@ def make_learn_one(update, size, rule, behaviour, explore):
                 epsilon = explore(fixed, progress)
         rate = epsilon if epsilon >= 0.0 else now.epsilon  # one that is refused below must not enter the tables
         agent = Agent(fixed.gamma, rate, now.mu, progress, fixed.next_action, env, memory.algorithm_parameters)
-        action, step = update(tables, agent, size, choose, expect, best, memory, draws, t)
+        action, step, next_value = update(tables, agent, size, choose, expect, best, memory, draws, t)
         if t.done:
             n_episodes += 1
             if fixed.total_episodes > 0:
@@ -71,7 +71,7 @@ def make_learn_one(update, size, rule, behaviour, explore):
         elif fixed.holds_mu != 0:
             mu = now.mu
         else:
-            mu = rule(now.mu, at_progress(step, progress), *memory.parameters)
+            mu = rule(now.mu, seen_by_rule(step, next_value, progress), *memory.parameters)
         sound = is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0
         now = Now(
             mu, epsilon, progress, n_episodes, now.n_updates + 1, now.mu_sum + step.size, min(now.mu_min, step.size),
