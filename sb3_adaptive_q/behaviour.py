@@ -19,7 +19,7 @@ import numpy as np
 
 from sb3_adaptive_q.random_numbers import uniform
 
-#: From this number of actions on, :func:`search_wide` is faster
+#: From this number of actions on, :func:`search_wide` is usually faster
 WIDE = 16
 
 
@@ -29,7 +29,7 @@ def search(table, state):
     :param state: the row
     :return: the action of the largest value, the first of them in a tie; that value; and how many actions have it
     """
-    row = np.uint64(state)  # machine code need not ask whether it counts from the end
+    row = np.uint64(state)  # unsigned: Numba does not check for negative indices
     best_action, best_value, n_best = 0, table[row, 0], 1
     for action in range(1, table.shape[1]):
         value = table[row, action]
@@ -41,7 +41,7 @@ def search(table, state):
 
 
 def search_wide(table, state):
-    """As :func:`search`, for many actions: four comparisons go side by side, and then several by one instruction."""
+    """As :func:`search`. Four maxima do not wait for each other, and the compiler vectorises the loop that counts ties."""
     row, n_actions, n_best, place = np.uint64(state), table.shape[1], 0, 0
     first = second = third = fourth = table[row, 0]
     for action in range(0, n_actions // 4 * 4, 4):

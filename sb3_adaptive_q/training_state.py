@@ -11,7 +11,7 @@ _NAMES = LEARNER.names or ()
 #: What the attributes of a model decide, and what tells of a refused transition
 _NOT_RESTORED = {
     "gamma", "exploration_initial", "exploration_final", "exploration_fraction", "mu_0", "next_action", "resets_mu", "value",
-    "refused_size", "refused_mu", "refused_epsilon",
+    "refused_size", "refused_mu", "refused_epsilon", "refused_action",
 }  # fmt: skip
 _PLACES = {name: place for place, name in enumerate(_NAMES)}
 

@@ -64,7 +64,7 @@ def probabilities(name: tuple[str, str], values: np.ndarray, rate: float) -> np.
 @pytest.mark.parametrize("state", range(3))
 @pytest.mark.parametrize("behaviours", [BEHAVIOURS, WIDE_BEHAVIOURS], ids=["narrow", "wide"])
 class TestPolicies:
-    """Those for many actions do the same; here, where their first step takes in whole rows and parts of rows."""
+    """The policies for many actions work with few actions too: with masks there may be one."""
 
     rate = 0.4
 
@@ -113,7 +113,8 @@ def test_the_best_of_many_actions(values: list[float]) -> None:
 
 
 def test_no_action_is_out_of_range_where_all_values_are_nan() -> None:
-    assert search_wide(np.full((1, 30), np.nan), 0)[0] == 0
+    action, value, n_best = search_wide(np.full((1, 30), np.nan), 0)
+    assert (action, n_best) == (0, 1) and np.isnan(value)
 
 
 def in_python(patch: pytest.MonkeyPatch) -> None:

@@ -52,6 +52,25 @@ def test_its_targets_are_clipped() -> None:
     )
 
 
+def returns_a_wrong_action(tables, agent, size, choose, expect, best, memory, draws, t):  # type: ignore[no-untyped-def]
+    step = td_update(tables[0], agent, size, memory, t, t.reward, 0.0)
+    return int(agent.parameters[0]), step, 0.0
+
+
+class WrongAction(ClippedQ):
+    """Its first update returns ``low`` as the next action."""
+
+    update = staticmethod(returns_a_wrong_action)
+
+
+@pytest.mark.parametrize("kind", [CompiledVecEnv, LeanVecEnv])
+@pytest.mark.parametrize("action", [-1, 6])
+def test_an_action_out_of_range_is_refused(kind: type[Any], action: int) -> None:
+    """Before memory is touched with it."""
+    with pytest.raises(ValueError, match=f"The update of WrongAction must give actions from 0 to 5, .* gave {action}: please"):
+        learn(kind, 1, WrongAction, low=action)
+
+
 class TestReadme:
     """The block of the README that defines an algorithm."""
 

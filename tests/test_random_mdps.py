@@ -14,11 +14,12 @@ from gymnasium import spaces
 from helpers.algorithms import algorithms
 from helpers.environments import MarkovEnv, SampledEnv, Step
 from helpers.plain_learner import PaperRate, PlainLearner, learn_plainly
-from helpers.random_mdps import STEP_SIZE_NAMES, make_case, pairs_to_try
+from helpers.random_mdps import STEP_SIZE_NAMES, Case, make_case, pairs_to_try
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sb3_adaptive_q import METHODS, STEP_SIZES, EpisodeSeriesCallback, TabularQ
+from sb3_adaptive_q.behaviour import WIDE
 from sb3_adaptive_q.rollouts import step_rollout
 from sb3_adaptive_q.vec_env import compiled_vec_env
 
@@ -103,6 +104,20 @@ def test_the_cases_go_through_everything():
     assert {(case.kind, case.step_size) for case in (make_case(number, pairs) for number in range(200))} == set(pairs)
     cases = [make_case(number, all_pairs) for number in range(5000)]
     assert len({(case.kind, case.step_size, case.n_envs > 1) for case in cases}) == 2 * len(all_pairs)
+
+
+@pytest.mark.parametrize("n_envs", [1, 2])
+@pytest.mark.parametrize("exploration", ["epsilon_greedy", "boltzmann"])
+def test_many_actions(n_envs, exploration):
+    """As machine code on both paths, and as Python."""
+    arguments = {"exploration": exploration, "exploration_initial_eps": 0.5, "exploration_final_eps": 0.1}
+    case = Case(TabularQ, 7, 3, n_envs, 20, 200, arguments, wide=True)
+    assert case.make_envs()[0].action_space.n >= WIDE
+    results = [learn(case.make_model(compiled), 200 * n_envs) for compiled in (True, False)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(step_rollout, "is_disabled", lambda: True)
+        results.append(learn(case.make_model(compiled=False), 200 * n_envs))
+    assert results[0] == results[1] == results[2]
 
 
 def test_the_plain_learner_by_hand():

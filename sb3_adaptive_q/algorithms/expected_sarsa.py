@@ -17,7 +17,7 @@ def expected_sarsa(tables, agent, size, choose, expect, best, memory, draws, t):
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
-    :return: the next action, the update, and Q_t(s', ·) for the rule
+    :return: the next action, the update, and Q_t(s', a) for the rule
     """
     value = 0.0 if t.terminated else expect(tables, tables[0], t.next_state, agent.epsilon)
     best_value = best_for_rule(tables, tables[0], agent, best, t)

@@ -17,7 +17,7 @@ def q_learning(tables, agent, size, choose, expect, best, memory, draws, t):
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
-    :return: the next action, the update, and Q_t(s', ·) for the rule
+    :return: the next action, the update, and Q_t(s', a) for the rule
     """
     best_value = 0.0 if t.terminated else best(tables, tables[0], t.next_state)[1]
     step = td_update(tables[0], agent, size, memory, t, t.reward + agent.gamma * best_value, best_value)

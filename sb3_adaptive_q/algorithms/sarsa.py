@@ -17,7 +17,7 @@ def sarsa(tables, agent, size, choose, expect, best, memory, draws, t):
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
-    :return: the next action, the update, and Q_t(s', ·) for the rule
+    :return: the next action, the update, and Q_t(s', a) for the rule
     """
     action, value = 0, 0.0
     if not t.terminated:

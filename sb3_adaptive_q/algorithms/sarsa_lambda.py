@@ -51,7 +51,7 @@ def true_online_sarsa_lambda(tables, agent, size, choose, expect, best, memory, 
     :param memory: of the step size
     :param draws: the agent's counter
     :param t: the transition
-    :return: the next action, the update, and Q_t(s', ·) for the rule
+    :return: the next action, the update, and Q_t(s', a) for the rule
     """
     action, next_value, value = 0, 0.0, tables[0][t.state, t.action]
     if not t.terminated:

@@ -102,7 +102,7 @@ def td_update(table, agent, size, memory, t, target, next_value):
     :param next_value: the value inside the target, for the step size to see
     :return: the update, as a :class:`Step`
     """
-    row, column = np.uint64(t.state), np.uint64(t.action)  # machine code need not ask whether these count from the end
+    row, column = np.uint64(t.state), np.uint64(t.action)  # unsigned: Numba does not check for negative indices
     value = table[row, column]
     step = size(memory, agent, t, value, next_value, target - value)
     if is_sound(step):
@@ -168,7 +168,7 @@ def kept_value(kept, agent, t, next_action, best_value):
     :param t: the transition
     :param next_action: the action that is taken in s'
     :param best_value: max_a Q_t(s', a), where the rule asks for it
-    :return: Q_t(s', ·) for the rule, 0 where s' is terminal
+    :return: Q_t(s', a) for the rule, 0 where s' is terminal
     """
     if t.terminated:
         return 0.0
@@ -184,7 +184,7 @@ def value_for_rule(tables, agent, best, t, next_action):
     :param best: the best action in a state, and its value
     :param t: the transition
     :param next_action: the action that is taken in s'
-    :return: Q_t(s', ·) for the rule, 0 where s' is terminal
+    :return: Q_t(s', a) for the rule, 0 where s' is terminal
     """
     if t.terminated:
         return 0.0

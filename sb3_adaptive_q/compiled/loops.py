@@ -46,7 +46,7 @@ def make_learn_one(update, size, rule, behaviour, explore):
     :param behaviour: the :class:`sb3_adaptive_q.behaviour.Behaviour`
     :param explore: the exploration rate by the progress, from a :class:`Fixed`
     :return: a function that learns from one transition and chooses what to do next. It tells whether the step size, the μ
-        after it and the exploration rate are in range
+        after it, the exploration rate and the action are in range
     """
     choose, expect, best, _ = behaviour
 
@@ -72,7 +72,7 @@ def make_learn_one(update, size, rule, behaviour, explore):
             mu = now.mu
         else:
             mu = rule(now.mu, seen_by_rule(step, next_value, progress), *memory.parameters)
-        sound = is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0
+        sound = is_sound(step) and 0.0 <= mu <= 1.0 and epsilon >= 0.0 and 0 <= action < tables[0].shape[1]
         now = Now(
             mu, epsilon, progress, n_episodes, now.n_updates + 1, now.mu_sum + step.size, min(now.mu_min, step.size),
             max(now.mu_max, step.size), now.td_error_sum + abs(step.td_error),
@@ -82,10 +82,10 @@ def make_learn_one(update, size, rule, behaviour, explore):
     return learn_one
 
 
-def refuse(learner, now, step):
+def refuse(learner, now, step, action):
     """Note what was computed, and leave the counters as they are."""
     learner.value, learner.refused_size = step.value, step.size
-    learner.refused_mu, learner.refused_epsilon = now.mu, now.epsilon
+    learner.refused_mu, learner.refused_epsilon, learner.refused_action = now.mu, now.epsilon, action
 
 
 def make_update_loop(learn_one, show, chooses_before_update):
@@ -107,7 +107,7 @@ def make_update_loop(learn_one, show, chooses_before_update):
         fixed, num_timesteps = load_fixed(learner[0]), learner[0].num_timesteps
         action, sound, now, step = learn_one(tables, known, fixed, before, num_timesteps, draws, t, env)
         if not sound:
-            refuse(learner[0], now, step)
+            refuse(learner[0], now, step, action)
             return -1
         store_now(learner[0], now)
         if done or not chooses_before_update:
@@ -169,7 +169,7 @@ def make_single_loop(learn_one, reset, step, index, load_state, store_state, nam
                 num_timesteps = steps_before + n_steps
                 action, sound, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, 0)
                 if not sound:
-                    refuse(learner[0], later, update)
+                    refuse(learner[0], later, update, action)
                     status = UPDATE_REFUSED
                     break
                 now, t = later, go_on(t, action)
@@ -223,7 +223,7 @@ def make_several_loop(  # noqa: C901  # one function of machine code
                     t = load_transition(envs[i])
                     action, sound, later, update = learn_one(tables, known, fixed, now, num_timesteps, draws, t, i)
                     if not sound:
-                        refuse(learner[0], later, update)
+                        refuse(learner[0], later, update, action)
                         status, culprit = UPDATE_REFUSED, i
                         break
                     now = later

@@ -49,7 +49,8 @@ def _fields(kind: type) -> list[tuple[str, type]]:
 LEARNER = np.dtype(
     [
         *_fields(Fixed), *_fields(Now), ("num_timesteps", np.int64), ("n_logged", np.int64), ("value", np.float64),
-        ("refused_size", np.float64), ("refused_mu", np.float64), ("refused_epsilon", np.float64), ("counter", np.uint64),
+        ("refused_size", np.float64), ("refused_mu", np.float64), ("refused_epsilon", np.float64),
+        ("refused_action", np.int64), ("counter", np.uint64),
     ]
 )  # fmt: skip
 #: An environment: its last transition, and the episode that it is in

@@ -194,18 +194,21 @@ class StepRollout:
         :raises ValueError: always; the table is as it was where the algorithm changes one entry
         """
         model, learner = self.model, self.learner[0]
+        sizes = [float(learner[name]) for name in ("refused_size", "refused_mu")]
+        refused = [size for size in sizes if not 0.0 <= size <= 1.0]
         if not learner["refused_epsilon"] >= 0.0:
             who, what = "`exploration_schedule`", "exploration rates from 0 to 1 (temperatures above 0)"
-            given = ""
+            given = "another value"
+        elif refused:
+            who, what, given = model.own_functions(), "step sizes from 0 to 1", repr(refused[0])
         else:
-            sizes = float(learner["refused_size"]), float(learner["refused_mu"])
-            who, what = model.own_functions(), "step sizes from 0 to 1"
-            given = f" {next(size for size in sizes if not 0.0 <= size <= 1.0)!r}"
+            who, what = f"The update of {type(model).__name__}", f"actions from 0 to {model.policy.n_actions - 1}"
+            given = repr(int(learner["refused_action"]))
         if model.updates_one_entry:
             model.q_table[state, action] = learner["value"]
         raise ValueError(
             f"{who} must give {what}, but at step {model.num_timesteps}, in state {state} for action "
-            f"{action + self.first_action}, it gave{given or ' another value'}: please check it."
+            f"{action + self.first_action}, it gave {given}: please check it."
         )
 
     def _hand_over_episodes(self) -> None:

@@ -8,7 +8,7 @@ this one included.
 import math
 
 from sb3_adaptive_q.step_sizes.counts import generalised_harmonic
-from sb3_adaptive_q.step_sizes.step import Memory, Parameter, Step, StepSize, first_step_size, starts_at_alpha_0
+from sb3_adaptive_q.step_sizes.step import Memory, Parameter, Step, StepSize, cell_of, first_step_size, starts_at_alpha_0
 
 
 def mcclain_size(size: float, target: float) -> float:
@@ -33,7 +33,7 @@ def mcclain(mu: float, step: Step, alpha_0: float, target: float, size: Memory) 
     :param size: the step size of the cell's last update
     :return: α₀ at n = 1, then μ / (1 + μ - target)
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     size[cell] = mcclain_size(size[cell], target) if step.count > 1.0 else alpha_0
     return size[cell]
 
@@ -70,7 +70,7 @@ def kesten(mu: float, step: Step, alpha_0: float, a: float, changes: Memory, las
     :param last_error: δ of the cell's last update
     :return: α₀ a / (a + K - 1)
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     if step.count <= 2.0:
         changes[cell] = step.count
     elif have_opposite_signs(step.td_error, last_error[cell]):
@@ -104,7 +104,7 @@ def trigg(mu: float, step: Step, phi: float, mean_error: Memory, mean_absolute_e
     :param mean_absolute_error: M, the smoothed |δ|
     :return: |E| / M, or 1 while all errors were 0
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     mean_error[cell] = (1.0 - phi) * mean_error[cell] + phi * step.td_error
     mean_absolute_error[cell] = (1.0 - phi) * mean_absolute_error[cell] + phi * abs(step.td_error)
     if mean_absolute_error[cell] == 0.0:
@@ -145,7 +145,7 @@ def bakf(
     :param variance_factor: λ, the variance of the estimate in the table over that of a single target
     :return: 1 - σ² / q, with the variance σ² = (q - b²) / (1 + λ)
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     nu = mcclain_size(smoothing[cell], nu_target) if step.count > 1.0 else 1.0
     smoothing[cell] = nu
     bias[cell] = (1.0 - nu) * bias[cell] + nu * step.td_error
@@ -199,7 +199,7 @@ def delta_bar_delta(
     :param mean_error: the smoothed δ of the updates before this one
     :return: the step size
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     if have_opposite_signs(mean_error[cell], step.td_error):
         size[cell] *= 1.0 - phi
     elif mean_error[cell] != 0.0 and step.td_error != 0.0:
@@ -264,7 +264,7 @@ def rmsprop(mu: float, step: Step, alpha: float, decay: float, epsilon: float, m
     :param mean_square: v, the smoothed δ²
     :return: α / √(v + ε), which can exceed 1
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     mean_square[cell] = decay * mean_square[cell] + (1.0 - decay) * step.td_error * step.td_error
     return alpha / math.sqrt(mean_square[cell] + epsilon)
 
@@ -299,7 +299,7 @@ def adagrad(mu: float, step: Step, alpha: float, epsilon: float, sum_of_squares:
     :param sum_of_squares: g, the sum of all δ²
     :return: α / (√g + ε), which can exceed 1
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     sum_of_squares[cell] += step.td_error * step.td_error
     return alpha / (math.sqrt(sum_of_squares[cell]) + epsilon)
 

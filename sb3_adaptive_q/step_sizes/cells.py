@@ -1,9 +1,4 @@
-"""
-From a step size to the function that an update calls: which cell of the memory belongs to it, counted and clipped.
-
-Rows and columns are unsigned, so that machine code need not ask whether they count from the end: step sizes with memory gain
-one step in twenty-five.
-"""
+"""From a step size to the function that an update calls: which cell of the memory belongs to it, counted and clipped."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,17 +13,17 @@ COUNTS = "visits"
 
 def pair_cell(state, action):
     """A cell for each state and action."""
-    return np.uint64(state), np.uint64(action)
+    return state, action
 
 
 def state_cell(state, action):
     """A cell for each state."""
-    return np.uint64(state), np.uint64(0)
+    return state, 0
 
 
 def shared_cell(state, action):
     """One cell for all."""
-    return np.uint64(0), np.uint64(0)
+    return 0, 0
 
 
 #: The cell that belongs to an update, by the name of the scope
@@ -79,6 +74,7 @@ MOST_ARRAYS = len(_OF_TABLE) - 1
 
 
 def _count_update(arrays, row, column):
+    row, column = np.uint64(row), np.uint64(column)  # unsigned: see `cell_of`
     arrays[0][row, column] += 1.0
     return arrays[0][row, column]
 
@@ -108,8 +104,7 @@ def scalar_size(memory, agent, t, value, next_value, td_error):
     :return: the update
     """
     return Step(
-        t.state, t.action, np.uint64(t.state), np.uint64(t.action), 0.0, value, next_value, td_error, agent.progress,
-        agent.gamma, agent.mu,
+        t.state, t.action, t.state, t.action, 0.0, value, next_value, td_error, agent.progress, agent.gamma, agent.mu
     )  # fmt: skip
 
 

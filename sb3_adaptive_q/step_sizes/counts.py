@@ -4,7 +4,7 @@ Step sizes that follow from the number of updates alone, whatever the errors are
 Throughout, n = ``step.count`` is the number of updates of the cell, this one included.
 """
 
-from sb3_adaptive_q.step_sizes.step import Memory, Parameter, Step, StepSize, first_step_size
+from sb3_adaptive_q.step_sizes.step import Memory, Parameter, Step, StepSize, cell_of, first_step_size
 
 
 def constant(mu: float, step: Step, alpha: float) -> float:
@@ -136,7 +136,7 @@ def unbiased_constant(mu: float, step: Step, alpha: float, weight: Memory) -> fl
     :param weight: the sum o of the weights of all targets so far
     :return: α / o, after o ← o + α (1 - o)
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     weight[cell] += alpha * (1.0 - weight[cell])
     return alpha / weight[cell]
 

@@ -12,6 +12,7 @@ from sb3_adaptive_q.step_sizes.step import (
     Parameter,
     Step,
     StepSize,
+    cell_of,
     clip_size,
     first_step_size,
     starts_at_alpha_0,
@@ -43,7 +44,7 @@ def benveniste(
     :param derivative: ψ, the derivative of the table's entry with respect to the step size
     :return: clip(μ + ν ψ δ, lower, upper), after which ψ ← (1 - μ) ψ + δ with the new μ
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     size[cell] = clip_size(size[cell] + nu * derivative[cell] * step.td_error, lower, upper)
     derivative[cell] = (1.0 - size[cell]) * derivative[cell] + step.td_error
     return size[cell]
@@ -82,7 +83,7 @@ def idbd(mu: float, step: Step, alpha_0: float, theta: float, log_size: Memory, 
     :param trace: h
     :return: e^β, after β ← β + θ δ h; then h ← h (1 - e^β) + e^β δ, where 1 - e^β is never negative
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     change = clip_size(theta * step.td_error * trace[cell], -LARGEST_CHANGE, LARGEST_CHANGE)
     log_size[cell] = clip_size(log_size[cell] + change, LEAST_LOG_SIZE, 0.0)
     size = math.exp(log_size[cell])
@@ -125,7 +126,7 @@ def k1(mu: float, step: Step, alpha_0: float, theta: float, log_gain: Memory, tr
     :param trace: h
     :return: e^β / (1 + e^β), after β ← β + θ δ h; then h ← (h + μ δ) (1 - μ)
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     log_gain[cell] += theta * step.td_error * trace[cell]
     size = logistic(log_gain[cell])
     trace[cell] = (trace[cell] + size * step.td_error) * (1.0 - size)
@@ -174,7 +175,7 @@ def autostep(
     :param normalizer: v, a decaying maximum of |δ h|
     :return: the step size
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     change = step.td_error * trace[cell]
     largest = normalizer[cell]
     largest = max(abs(change), largest + size[cell] / tau * (abs(change) - largest))
@@ -229,7 +230,7 @@ def swift_td(
     :param trace: h
     :return: e^β; then β ← min(β + θ δ h / e^β, ln η) and h ← (1 - e^β) h + e^β δ
     """
-    cell = step.row, step.column
+    cell = cell_of(step)
     size = min(math.exp(log_size[cell]), eta)  # e^(ln η) may be above η, by rounding
     log_size[cell] = clip_size(log_size[cell] + theta / size * step.td_error * trace[cell], LOG_OF_LEAST_SIZE, math.log(eta))
     trace[cell] = (1.0 - size) * trace[cell] + size * step.td_error

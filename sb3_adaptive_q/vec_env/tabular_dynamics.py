@@ -88,7 +88,7 @@ class TabularDynamics(Dynamics):
         """Draw an outcome. Counting without a branch is fastest if there are few."""
         number = random_float(generator)
         outcome = 0
-        state, action = np.uint64(state), np.uint64(action)  # machine code need not ask whether these count from the end
+        state, action = np.uint64(state), np.uint64(action)  # unsigned: Numba does not check for negative indices
         for i in range(len(parameters.comparisons) or parameters.outcomes.shape[2] - 1):
             outcome += 1 if parameters.outcomes[state, action, i]["cumulative"] <= number else 0
         drawn = parameters.outcomes[state, action, outcome]

@@ -3,7 +3,7 @@
 import gc
 import sys
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pandas as pd
@@ -81,15 +81,13 @@ def write_outputs(
         folder.write(f"table_{number}.md", f"{text}\n")
     gc.freeze()  # what is there already need not be looked through after every figure
     shown: dict[str, list[tuple[str, str]]] = {}
-    contents: dict[str, Future[bytes]] = {}
-    with ThreadPoolExecutor(1) as background:  # another core chooses colours and packs, while this one draws
+    with ThreadPoolExecutor(1) as background:
         for system, name, caption, figure in make_figures(results, settings.gamma):
-            contents[f"figures/{name}.png"] = background.submit(png_of, paint(figure))
+            png = background.submit(png_of, paint(figure))  # it is encoded while the PDF file is made
             folder.write(f"figures/{name}.pdf", pdf_of(figure))
+            folder.write(f"figures/{name}.png", png.result())
             shown.setdefault(system, []).append((f"figures/{name}", caption))
             gc.collect()  # figures are full of reference cycles, and would pile up to a GiB
-    for name, content in contents.items():
-        folder.write(name, content.result())
     report = write_report(results, settings, shown, failures)
     folder.write("report.md", report)
     folder.write("report.html", html_page(report, lambda name: (folder.path / name).read_bytes()))
