@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-
 SAME_ACTION, NEXT_ACTION, MAXIMUM = range(3)
 #: What a method's ``next_action`` may be, and the code by which the functions below know it
 NEXT_ACTIONS = {"same": SAME_ACTION, "next": NEXT_ACTION, "max": MAXIMUM}
