@@ -1,14 +1,15 @@
 """An algorithm of a user's own: Q-learning with a clipped target, as the README has it, and with parameters."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularAlgorithm, TabularQ
+from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, LearningRateCallback, TabularAlgorithm, TabularQ
 from sb3_adaptive_q.algorithms.td_update import choose_after, td_update
+from sb3_adaptive_q.rollouts import step_rollout
 
 
 def clipped_update(tables, agent, size, choose, expect, best, memory, draws, t):  # type: ignore[no-untyped-def]
@@ -69,6 +70,29 @@ def test_an_action_out_of_range_is_refused(kind: type[Any], action: int) -> None
     """Before memory is touched with it."""
     with pytest.raises(ValueError, match=f"The update of WrongAction must give actions from 0 to 5, .* gave {action}: please"):
         learn(kind, 1, WrongAction, low=action)
+
+
+class Distance(LearningRateCallback):
+    """A step size that computes with the row and the column of its cell, below 0 too."""
+
+    memory: ClassVar = {"seen": 0.0}
+
+    @staticmethod
+    def step_size(mu: float, step: Any, seen: Any) -> float:
+        seen[step.row, step.column] += 1.0
+        return 0.5 / (seen[step.row, step.column] + abs(step.row - 200) / 100.0 + abs(step.column - 3))
+
+
+def test_a_step_size_may_compute_with_its_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It gives the same on both paths, and without the compiler."""
+
+    def table(kind: type[Any]) -> bytes:
+        model = TabularQ("MlpPolicy", make_vec_env("Taxi-v4", 1, vec_env_cls=kind), seed=0)
+        return model.learn(3000, callback=Distance()).q_table.tobytes()
+
+    compiled, ordinary = table(CompiledVecEnv), table(LeanVecEnv)
+    monkeypatch.setattr(step_rollout, "is_disabled", lambda: True)
+    assert compiled == ordinary == table(LeanVecEnv)
 
 
 class TestReadme:
