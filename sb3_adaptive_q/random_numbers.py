@@ -67,7 +67,7 @@ def draw_place(cumulative, generator):
     :param generator: as for :func:`random_float`
     :return: the first place whose cumulative probability is above the number drawn; 0 where rounding leaves none
     """
-    # NumPy's searchsorted does the same, and takes 0.6 s to compile
+    # NumPy's searchsorted does the same, and takes half a second to compile
     number, low, high = random_float(generator), 0, cumulative.shape[0]
     while low < high:
         middle = (low + high) >> 1

@@ -71,7 +71,6 @@ def paint(figure: Figure) -> Image.Image:
     """
     with rc_context(_STYLE):
         _lay_out(figure)
-        figure.set_dpi(RESOLUTION)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -101,8 +100,8 @@ def pdf_of(figure: Figure) -> bytes:
 
 def _lay_out(figure: Figure) -> None:
     """Find all places once: with its layout engine, saving would draw everything twice, and find them again the next time."""
+    figure.set_dpi(RESOLUTION)
     layout = figure.get_layout_engine()
     if layout is not None:
-        figure.set_dpi(RESOLUTION)
         layout.execute(figure)
         figure.set_layout_engine(None)
