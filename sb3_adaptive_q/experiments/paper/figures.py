@@ -125,8 +125,8 @@ def all_methods_figure(results: Results, system: str) -> Figure:
     title = f"{title_of(system)}: mean of {runs.min()} runs, shaded: 95 % bootstrap interval"
     left.set_title(title, loc="left", fontsize="medium")
     left.legend(loc="upper left", frameon=False, handlelength=3.0)
-    right.set(xlabel=f"mean return of the last {WINDOW} episodes\n(after training)", yticks=range(len(methods)))
-    right.set_yticklabels(methods)
+    right.set_xlabel(f"mean return of the last {WINDOW} episodes\n(after training)", fontsize="small")
+    right.set_yticks(range(len(methods)), methods)
     right.invert_yaxis()
     for axis in (left, right):
         tidy(axis)
