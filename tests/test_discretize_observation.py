@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import sb3_adaptive_q
 import wrappers
 from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv
+from sb3_adaptive_q.compiled.jit import machine_code
 from sb3_adaptive_q.vec_env.dynamics import Grid, grid_index
 from sb3_adaptive_q.wrappers import edges_of
 from wrappers import DiscretizeObservation
@@ -301,6 +302,15 @@ def test_compiled_code_finds_the_same_cells(edges: list[np.ndarray[Any, Any]], d
     values = draw_observation(data, edges)
     wrapper = DiscretizeObservation(box((len(edges),)), edges=edges)
     assert grid_index(*Grid.of(wrapper), tuple(values.tolist())) == wrapper.observation(values)
+
+
+@pytest.mark.parametrize("values", itertools.product([math.nan, math.inf, -math.inf, 0.0], repeat=2))
+def test_machine_code_finds_a_cell_for_what_is_no_number(values: tuple[float, float]) -> None:
+    """Cart Pole reaches such a state if its numbers overflow, and its cells are not checked."""
+    grid = Grid.of(DiscretizeObservation(box((2,)), edges=[np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 1.0])]))
+    found = machine_code(grid_index, (*grid, values))(*grid, values)
+    numbers = [-math.inf if math.isnan(value) else value for value in values]
+    assert found == grid_index(*grid, tuple(numbers))
 
 
 @pytest.mark.parametrize(

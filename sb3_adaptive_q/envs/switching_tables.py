@@ -118,9 +118,10 @@ class SwitchingTablesDynamics(ClockDynamics):
         :param generator: to draw from
         :return: the state afterwards, the reward, and whether the episode terminated
         """
-        row, clock = int(state[0]), state[1]
-        changes = min(int(clock) // parameters.period, parameters.n_changes)
-        table = changes % parameters.cumulative.shape[0]
+        row, action, clock = np.uint64(int(state[0])), np.uint64(action), state[1]  # unsigned: see `TabularDynamics`
+        # Quotients of whole numbers below 2**53, rounded down: exact as floats, and faster than as integers
+        changes = min(int(clock / parameters.period), parameters.n_changes)
+        table = np.uint64(changes - int(changes / parameters.cumulative.shape[0]) * parameters.cumulative.shape[0])
         number = random_float(generator)
         outcome = 0
         for i in range(parameters.cumulative.shape[3] - 1):

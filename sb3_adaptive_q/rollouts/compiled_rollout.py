@@ -258,9 +258,10 @@ class CompiledRollout(StepRollout):
                 mine = episodes[episodes["env"] == i]
                 each.write_monitor_rows(mine["episode_return"], mine["length"])
         if model.episode_series:
-            columns = (_round_as_monitor(episodes["episode_return"]), episodes["length"], episodes["mu"], episodes["epsilon"])
+            rest = (episodes[name].copy() for name in ("length", "mu", "epsilon"))
+            kept = Episodes(_round_as_monitor(episodes["episode_return"]), *rest)
             for series in model.episode_series:
-                series.add(Episodes(*(column.copy() for column in columns)))
+                series.add(kept)
 
     def _episode_infos(self, start: int, stop: int) -> list[tuple[int, dict[str, Any]]]:
         """Episodes of the rollout, each with the number of its environment, as the Monitors would give them."""

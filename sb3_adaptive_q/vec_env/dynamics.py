@@ -182,20 +182,21 @@ def grid_index(edges, counts, scales, observation):
     :param counts: as in :class:`Grid`
     :param scales: as in :class:`Grid`
     :param observation: a tuple of floats, rounded to the observation's dtype
-    :return: the number of the cell
+    :return: the number of the cell; there is one for everything, also for what is no number
     """
-    index = 0
+    index, one = np.uint64(0), np.uint64(1)  # unsigned: Numba does not check for negative indices
     for dimension in range(len(observation)):
         value, count = observation[dimension], counts[dimension]
         # Exact up to rounding if the edges are evenly spaced. The two loops then find the exact cell
         distance = (value - edges[dimension, 0]) * scales[dimension]
-        cell = int(min(max(distance, 0.0), float(count)))
-        while cell < count and edges[dimension, cell] <= value:
-            cell += 1
-        while cell > 0 and edges[dimension, cell - 1] > value:
-            cell -= 1
-        index = index * (count + 1) + cell
-    return index
+        guess = min(distance, float(count)) if distance > 0.0 else 0.0  # 0 also for what is no number
+        cell, end = np.uint64(int(guess)), np.uint64(count)
+        while cell < end and edges[dimension, cell] <= value:
+            cell += one
+        while cell > 0 and edges[dimension, cell - one] > value:
+            cell -= one
+        index = index * (end + one) + cell
+    return np.int64(index)
 
 
 def as_float32(value):
