@@ -103,6 +103,21 @@ def test_a_refused_step_size_leaves_the_values_alone(name: str, compiled: bool) 
             np.testing.assert_array_equal(model._working[array], before[1][array])
 
 
+class TooLargeThenNegative(TooLarge):
+    """Its rule makes a negative μ of the step size that is refused."""
+
+    @staticmethod
+    def rule(mu: float, step: Any) -> float:
+        return -3.0 if step.size > 1.0 else step.size
+
+
+@pytest.mark.parametrize("kind", [CompiledVecEnv, LeanVecEnv])
+def test_the_refused_step_size_is_named_before_what_the_rule_made_of_it(kind: Any) -> None:
+    model = TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=kind), seed=0)
+    with pytest.raises(ValueError, match="it gave 2.0: please check it"):
+        model.learn(5000, callback=TooLargeThenNegative(), log_interval=None)
+
+
 def bad_in_the_end(progress: float) -> float:
     return 0.5 if progress < 0.5 else -1.0
 
