@@ -271,6 +271,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         progress_bar = check("progress_bar", progress_bar)
         if self.env is None:
             raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
+        self.check_sizes()
         self._check_arguments()
         self.check_functions_found(callback)
         self._log_interval = log_interval

@@ -10,7 +10,15 @@ import numpy as np
 
 from sb3_adaptive_q.checks import FINITE, check
 from sb3_adaptive_q.compiled.jit import CannotCompile, type_returned
-from sb3_adaptive_q.step_sizes.cells import COUNTS, MOST_ARRAYS, keep_mu, last_size, make_size, scalar_size
+from sb3_adaptive_q.step_sizes.cells import (
+    COUNTS,
+    MOST_ARRAYS,
+    keep_mu,
+    last_size,
+    make_size,
+    scalar_size,
+    scope_shape,
+)
 from sb3_adaptive_q.step_sizes.step import Step, clip_size
 
 
@@ -118,7 +126,7 @@ class InstalledMethod:
         """
         arrays = [np.zeros((1, 1)) for _ in self.data.memory]
         for name, function, further in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
-            if function is None or (function.__module__ or "").partition(".")[0] == __package__:
+            if function is None or _is_own(function):
                 continue
             try:
                 other = type_returned(function, (0.0, _STEP_OF_ZEROS, *self.arguments, *further))
@@ -128,6 +136,28 @@ class InstalledMethod:
                 raise ValueError(
                     f"`{name}` of {self.data.owner} must return a number in every case, but returns {other}: please check it."
                 )
+
+    def check_cells(self, n_states: int, n_actions: int) -> None:
+        """
+        Try a function of the user's with the last state and action, where the memory has fewer cells than the table.
+
+        :param n_states: rows of the table
+        :param n_actions: columns of the table
+        :raises ValueError: if the function looks for a cell that does not exist: machine code would not notice
+        """
+        shape = scope_shape(self.data.scope, n_states, n_actions)
+        if self.step_size is None or self.data.scope == "pair" or _is_own(self.step_size):
+            return
+        step = _STEP_OF_ZEROS._replace(
+            state=n_states - 1, action=n_actions - 1, row=shape[0] - 1, count=float(self.data.counts)
+        )
+        try:
+            self.step_size(0.0, step, *self.arguments, *(np.full(shape, start) for start in self.data.memory.values()))
+        except IndexError as error:
+            raise ValueError(
+                f"`step_size` of {self.data.owner} looks for a cell that its memory does not have ({error}): with the scope "
+                f"{self.data.scope!r} the arrays have the shape {shape}, so please use `[step.row, step.column]`."
+            ) from error
 
     def start(self) -> float:
         """
@@ -148,6 +178,11 @@ class InstalledMethod:
                 f"gave {mu!r}: please check it, or pass `mu_0`."
             )
         return float(mu)
+
+
+def _is_own(function: Callable[..., Any]) -> bool:
+    """Whether a function is one of this package."""
+    return (function.__module__ or "").partition(".")[0] == __package__
 
 
 def _check_data(data: MethodData) -> MethodData:

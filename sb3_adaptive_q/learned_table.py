@@ -7,6 +7,7 @@ import torch as th
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_adaptive_q.action_masks import ALLOWED, check_mask, mask_arrays
+from sb3_adaptive_q.checks import MOST_STEPS
 from sb3_adaptive_q.policies import TabularQPolicy
 from sb3_adaptive_q.step_size_in_force import StepSizeInForce
 from sb3_adaptive_q.vec_env import CompiledVecEnv
@@ -48,19 +49,28 @@ class LearnedTable(StepSizeInForce):
         """
         :return: the algorithm's arrays, ``q_table`` first; and arrays, parameters and bounds of the step size and parameters
             of the algorithm, all as machine code takes them
-        :raises ValueError: if a table of the policy was replaced by one of another kind
+        :raises ValueError: if a buffer of the policy was replaced by one of another kind
         """
         shape = (self.policy.n_states, self.policy.n_actions)
         shapes = {"q_table": shape, **self.extra_tables(*shape)}
-        tables = [getattr(self.policy, name).numpy() for name in shapes]
-        for (name, expected), table in zip(shapes.items(), tables, strict=True):  # machine code does not look at shapes
-            if table.shape != expected or table.dtype != np.float64 or not table.flags.c_contiguous:
-                raise ValueError(
-                    f"`{name}` must be a contiguous tensor of float64 and of shape {expected}, but is one of {table.dtype} "
-                    f"and of shape {table.shape}: please put such a tensor into the policy."
-                )
+        tables = [self.policy.array(name, expected) for name, expected in shapes.items()]
         masks = (self._masks(),) if self.use_masking else ()
         return (*tables, *self._working.values(), *masks), (*self._step_size_memory(), self._update_parameters)
+
+    def check_sizes(self) -> None:
+        """
+        Check what a training takes for granted before it begins.
+
+        :raises ValueError: if there are more or fewer environments than the model was made for, or too many steps to count on
+        """
+        assert self.env is not None
+        if self.n_envs != self.env.num_envs:
+            raise ValueError(
+                f"The model learns in {self.n_envs} environments, but its VecEnv has {self.env.num_envs}: please make a new "
+                "model, or set neither `n_envs` nor `num_envs`."
+            )
+        if self.num_timesteps > MOST_STEPS:
+            raise ValueError(f"`num_timesteps` must be at most {MOST_STEPS}, but is {self.num_timesteps}: please set it to 0.")
 
     def _share_mu(self) -> None:
         """Let the policy's ``mu`` and the training state's be the same memory: the policy may be another one by now."""
@@ -96,10 +106,14 @@ class LearnedTable(StepSizeInForce):
         working = self.new_working_arrays()
         if self._next_actions is None or _shapes_of(working) != _shapes_of(self._working):
             self._working = working
+        if self.considered.shape != (self.n_envs, self.policy.n_actions):  # the policy may be another one by now
+            self.considered = np.zeros((self.n_envs, self.policy.n_actions))
         self.check_masks()
 
     def _masks(self) -> np.ndarray:
-        return getattr(self.policy, ALLOWED).numpy()
+        if ALLOWED not in self.policy._buffers:
+            raise ValueError("`use_masking` needs a table of masks, which the constructor makes: please pass it there.")
+        return self.policy.array(ALLOWED, (self.policy.n_states, self.policy.n_actions))
 
     def was_exploratory(self) -> np.ndarray:
         """

@@ -83,9 +83,12 @@ def _check_independence(models: Sequence[TabularAlgorithm]) -> None:
                 f"learn_many needs models on a CompiledVecEnv, but model {i} has a {type(model.env).__name__}: other "
                 "environments hold the interpreter lock, so let those models learn one after the other."
             )
-    environments = [id(env) for model in models for env in model.env.envs]
-    if len(set(environments)) < len(environments):
-        raise ValueError("Models that learn at the same time need environments of their own, but two share one.")
+    for what, owned in (
+        ("environments", [env.unwrapped for model in models for env in model.env.envs]),
+        ("tables", [model.policy for model in models]),
+    ):
+        if len(set(map(id, owned))) < len(owned):
+            raise ValueError(f"Models that learn at the same time need {what} of their own, but two share one.")
 
 
 def _count_cores() -> int:

@@ -254,7 +254,10 @@ class SavedAsData:
         unknown = sorted(set(given) - {"policy"})
         if unknown or (is_complete and not given):
             raise ValueError(f"Parameters must be a dict with the key 'policy', but got {unknown or 'an empty one'}.")
-        values = {name: th.as_tensor(value) for name, value in given.get("policy", {}).items()}
+        policy_given = given.get("policy", {})
+        if not isinstance(policy_given, Mapping):
+            raise ValueError(f"Parameters must be a dict of tensors under the key 'policy', but got {policy_given!r} there.")
+        values = {name: th.as_tensor(value) for name, value in policy_given.items()}
         arrays = {name: value.cpu().numpy() for name, value in values.items()}
         _check_names_and_shapes(policy.state_dict(), arrays, is_complete)
         _check_values(arrays)
@@ -334,6 +337,8 @@ def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
 
 def _check_values(arrays: Mapping[str, np.ndarray]) -> None:
     for name, array in arrays.items():
+        if array.dtype.kind not in "fiu":
+            raise ValueError(f"`{name}` must hold real numbers, but holds {array.dtype}")
         sound = ~np.isnan(array) if name.startswith(MEMORY) else np.isfinite(array)
         if not sound.all():
             raise ValueError(f"`{name}` must hold finite numbers, but has NaN or infinities: {int((~sound).sum())} of them")

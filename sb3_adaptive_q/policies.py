@@ -87,6 +87,21 @@ class TabularQPolicy(BasePolicy):
                 raise ValueError(f"`{name}` has the shape {shape}, but got values of shape {values.shape} to start from.")
             self.register_buffer(name, th.from_numpy(np.broadcast_to(values, shape).copy()))
 
+    def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
+        """
+        :param name: of a buffer
+        :param shape: that it must have
+        :return: the buffer as an array for machine code, which does not look at shapes
+        :raises ValueError: if it was replaced by a tensor of another kind
+        """
+        array = getattr(self, name).numpy()
+        if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
+            raise ValueError(
+                f"`{name}` must be a contiguous tensor of float64 and of shape {shape}, but is one of {array.dtype} "
+                f"and of shape {array.shape}: please put such a tensor into the policy."
+            )
+        return array
+
     def forget_memory(self) -> None:
         """Drop the arrays of a step size."""
         for name in self.memory_names():

@@ -6,6 +6,7 @@ import numpy as np
 
 from sb3_adaptive_q.environment_state import read_environments
 from sb3_adaptive_q.rollouts.step_rollout import RolloutState
+from sb3_adaptive_q.vec_env.tabular_dynamics import LARGEST_REWARD
 
 
 def read_running(model: Any) -> dict[str, Any]:
@@ -79,7 +80,7 @@ def check_actions(actions: Any, n_envs: int, n_actions: int) -> np.ndarray | Non
 def _check_transition(entry: Any, n_states: int, n_actions: int) -> tuple[int, int, float, int, bool, bool, int]:
     state, action, reward, next_state, terminated, done, start_state = entry
     rows = all(_is_below(row, n_states) for row in (state, next_state, start_state))
-    if not (rows and _is_below(action, n_actions) and np.isfinite(reward)):
+    if not (rows and _is_below(action, n_actions) and abs(reward) <= LARGEST_REWARD):
         raise ValueError(f"its last transition {list(entry)} is none of this table")
     return state, action, float(reward), next_state, bool(terminated), bool(done), start_state
 

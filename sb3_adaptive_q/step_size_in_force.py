@@ -90,8 +90,10 @@ class StepSizeInForce(AlgorithmDeclaration):
 
         :param method: the method
         :param restart: whether μ and the memory start anew even if the same method is in force already
-        :raises ValueError: if the method resets μ with every episode and there are several environments
+        :raises ValueError: if the method resets μ with every episode and there are several environments, or looks for a cell
+            of its memory where there is none
         """
+        method.check_cells(self.policy.n_states, self.policy.n_actions)
         in_force = self._missing_method if self._method is None else self._method.data
         starts = restart or method.data != in_force
         self._use_method(method)
@@ -127,7 +129,8 @@ class StepSizeInForce(AlgorithmDeclaration):
         method = self._method
         if method is None:
             return (), self._schedule_parameters, _NO_BOUNDS
-        arrays = tuple(getattr(self.policy, MEMORY + name).numpy() for name in method.array_starts)
+        shape = (self.n_tables, *scope_shape(method.data.scope, self.policy.n_states, self.policy.n_actions))
+        arrays = tuple(self.policy.array(MEMORY + name, shape) for name in method.array_starts)
         return arrays, method.arguments, tuple(map(float, method.data.bounds))
 
     def _choose_functions(self) -> None:

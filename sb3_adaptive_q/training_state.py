@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from sb3_adaptive_q.checks import MOST_STEPS
 from sb3_adaptive_q.compiled.records import LEARNER
 
 _NAMES = LEARNER.names or ()
@@ -67,7 +68,8 @@ class TrainingState:
             elif LEARNER[name].kind == "f":
                 is_sound = is_number and (value >= 0.0 or name == "mu_max")
             else:
-                is_sound = type(value) is int and 0 <= value <= np.iinfo(LEARNER[name]).max
+                most = np.iinfo(np.uint64).max if name == "counter" else MOST_STEPS
+                is_sound = type(value) is int and 0 <= value <= most
             if not is_sound:
                 expected = "from 0 to 1" if name in ("mu", "progress") else "a number that counts something"
                 raise ValueError(f"`{name}` must be {expected}, but got {value!r}.")

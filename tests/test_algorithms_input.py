@@ -17,6 +17,7 @@ from sb3_adaptive_q import (
     QLambda,
     SARSALambda,
     TabularAlgorithm,
+    TabularQ,
     policies,
 )
 from sb3_adaptive_q.rollouts import step_rollout
@@ -114,7 +115,7 @@ class TooLargeThenNegative(TooLarge):
 @pytest.mark.parametrize("kind", [CompiledVecEnv, LeanVecEnv])
 def test_the_refused_step_size_is_named_before_what_the_rule_made_of_it(kind: Any) -> None:
     model = TabularQ("MlpPolicy", make_vec_env("FrozenLake-v1", vec_env_cls=kind), seed=0)
-    with pytest.raises(ValueError, match="it gave 2.0: please check it"):
+    with pytest.raises(ValueError, match=r"it gave 2\.0: please check it"):
         model.learn(5000, callback=TooLargeThenNegative(), log_interval=None)
 
 

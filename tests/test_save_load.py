@@ -60,6 +60,11 @@ def halve(left):
     return 0.5 * left
 
 
+#: Parameters of the right names and shapes, but of other kinds of numbers
+COMPLEX = {"q_table": th.ones(16, 4) * 1j, "mu": th.ones(1), "memory_visits": th.ones(1, 16, 4)}
+FLAGS = {"q_table": th.ones(16, 4) > 0.0, "mu": th.ones(1), "memory_visits": th.ones(1, 16, 4)}
+
+
 class TestFile:
     def test_the_table_is_in_the_file_once(self, tmp_path):
         env = SampledEnv(spaces.Discrete(3000), spaces.Discrete(5))
@@ -530,8 +535,11 @@ class TestOtherSizes:
             ({"policy": {"q_table": th.ones(16, 4), "mu": th.ones(1), "memory_other": th.ones(1)}}, RuntimeError),
             ({"policy": {}, "optimizer": {}}, ValueError),
             ({}, ValueError),
+            ({"policy": None}, ValueError),
+            ({"policy": COMPLEX}, ValueError),
+            ({"policy": FLAGS}, ValueError),
         ],
-        ids=["missing", "wrong shape", "unknown", "other object", "nothing"],
+        ids=["missing", "wrong shape", "unknown", "other object", "nothing", "no dict", "complex", "flags"],
     )
     def test_parameters_of_another_model_change_nothing(self, parameters, error):
         model = TabularQ("MlpPolicy", LAKE, initial_q=0.5, method="polynomial")

@@ -98,6 +98,8 @@ def visit(tables, env, t, size, mark):
     places, pairs, traces, n_pairs = tables[1][env], tables[2][env], tables[3][env], tables[4]
     place = places[t.state, t.action]
     if place == 0:
+        if n_pairs[env] == pairs.shape[0]:  # these traces are from a file, or from before λ or the threshold was changed
+            forget(tables, env)
         n_pairs[env] += 1
         place = n_pairs[env]
         places[t.state, t.action] = place
@@ -219,5 +221,8 @@ class TraceAlgorithm(TabularAlgorithm):
             check_range("pairs", states, known.shape[1])
             check_range("pairs", actions, known.shape[2])
             known[env, states, actions] = np.arange(1, n_pairs + 1)
+            traces, sizes = arrays["traces"][env, :n_pairs].T
+            if not ((traces >= 0.0) & np.isfinite(traces) & (sizes >= 0.0) & (sizes <= 1.0)).all():
+                raise ValueError("`traces` must hold a number of at least 0 and a step size from 0 to 1 for each pair.")
         if (known != arrays["places"]).any() or np.count_nonzero(known) != arrays["n_pairs"].sum():
             raise ValueError("`places` must say where in the list of `pairs` each eligible pair stands, but does not.")

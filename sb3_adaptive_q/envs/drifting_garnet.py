@@ -114,6 +114,12 @@ class DriftingGarnetDynamics(ClockDynamics):
         super().__init__(env, grid)
         assert isinstance(env, DriftingGarnetEnv)
         arrays = OutcomeArrays.of([env.deviations])
+        expected = arrays.next_states.shape[1:3]
+        if env.mean_rewards.shape[1:] != expected or not len(env.mean_rewards):
+            raise ValueError(
+                f"`mean_rewards` of {type(env).__name__} must have blocks of shape {expected}, but has the shape "
+                f"{env.mean_rewards.shape}: please make a new environment."
+            )
         self.parameters = DriftingGarnet(
             start=np.cumsum(env.start),
             cumulative=arrays.cumulative[0],

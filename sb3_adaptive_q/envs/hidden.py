@@ -10,7 +10,7 @@ from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.tables import Start, Table
 from sb3_adaptive_q.random_numbers import draw_place
-from sb3_adaptive_q.vec_env import Dynamics
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, whole_number_of
 from sb3_adaptive_q.vec_env.readings import Readings
 
 
@@ -132,13 +132,22 @@ class ClockDynamics(Dynamics):
 
     draws_from_words = True
 
+    def table_shape(self) -> tuple[int, int]:
+        """
+        Tell the size of the tables.
+
+        :return: their states and actions
+        """
+        return self.parameters.next_states.shape[-3:-1]
+
     def read_state(self) -> tuple[float, float]:
         """
         Read the environment's state.
 
         :return: state and clock
+        :raises ValueError: if one of them is no whole number of at least 0
         """
-        return float(self.env.s), float(self.env.clock)  # type: ignore[attr-defined]
+        return float(whole_number_of(self.env, "s")), float(whole_number_of(self.env, "clock"))
 
     def write_state(self, state: Any) -> None:
         """

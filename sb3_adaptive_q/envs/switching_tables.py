@@ -26,7 +26,8 @@ class SwitchingTablesEnv(HiddenChangeEnv):
     :param period: how many steps a phase takes
     :param n_changes: how often the table changes; ``None``: for ever, the first after the last
     :param render_mode: ``None``; there is nothing to see
-    :raises ValueError: if the tables differ in shape, start distributions differ, or the period is below 1
+    :raises ValueError: if the tables differ in shape, start distributions differ, the period is below 1, or the number of
+        changes below 0
     """
 
     def __init__(
@@ -42,8 +43,7 @@ class SwitchingTablesEnv(HiddenChangeEnv):
             raise ValueError(
                 f"The phases must have tables of one shape and one start distribution, but the shapes are {shapes}."
             )
-        if period < 1:
-            raise ValueError(f"The period must be at least 1 step, but is {period}.")
+        _check_changes(period, n_changes)
         super().__init__(*shapes.pop(), phases[0][1], render_mode)
         self.period = period
         self.n_changes = _ENDLESS if n_changes is None else n_changes
@@ -80,6 +80,13 @@ class SwitchingTablesEnv(HiddenChangeEnv):
         return self.s, reward, terminated, False, {"prob": probability}
 
 
+def _check_changes(period: int, n_changes: int | None) -> None:
+    if not period >= 1:
+        raise ValueError(f"The period must be at least 1 step, but is {period}.")
+    if n_changes is not None and not n_changes >= 0:
+        raise ValueError(f"The number of changes must be at least 0, but is {n_changes}.")
+
+
 class SwitchingTables(NamedTuple):
     """The cumulative start distribution, the tables as :class:`OutcomeArrays`, and when to change."""
 
@@ -104,6 +111,7 @@ class SwitchingTablesDynamics(ClockDynamics):
     def __init__(self, env: gym.Env, grid: Grid | None) -> None:
         super().__init__(env, grid)
         assert isinstance(env, SwitchingTablesEnv)
+        _check_changes(env.period, env.n_changes)
         arrays = OutcomeArrays.of(env.tables)
         self.parameters = SwitchingTables(np.cumsum(env.start), *arrays, env.period, env.n_changes)
 

@@ -84,7 +84,7 @@ class TabularModel:
         """The mean reward of a row, and the probabilities of its successors that do not end the episode."""
         name = f"P[{state}][{action}]"
         try:
-            outcomes = [(float(p), int(n), float(r), bool(end)) for p, n, r, end in table[state][action]]
+            outcomes = [(float(p), float(n), float(r), bool(end)) for p, n, r, end in table[state][action]]
         except (KeyError, IndexError) as error:
             raise ValueError(f"{name} is missing: every state needs the same actions, 0 to {self.n_actions - 1}.") from error
         except (TypeError, ValueError) as error:
@@ -94,13 +94,13 @@ class TabularModel:
         _distribution(name, [outcome[0] for outcome in outcomes], len(outcomes))
         reward, merged = 0.0, dict[int, float]()
         for probability, next_state, outcome_reward, terminated in outcomes:
-            if not 0 <= next_state < self.n_states:
-                raise ValueError(f"The next states of {name} must be 0 to {self.n_states - 1}, but one is {next_state}.")
+            if not (0 <= next_state < self.n_states and next_state == int(next_state)):
+                raise ValueError(f"The next states of {name} must be 0 to {self.n_states - 1}, but one is {next_state:g}.")
             if not np.isfinite(outcome_reward):
                 raise ValueError(f"The rewards of {name} must be finite, but one is {outcome_reward}.")
             reward += probability * outcome_reward
             if not terminated and probability > 0.0:
-                merged[next_state] = merged.get(next_state, 0.0) + probability
+                merged[int(next_state)] = merged.get(int(next_state), 0.0) + probability
         return reward, merged
 
     def reachable_states(self) -> npt.NDArray[np.bool_]:

@@ -14,9 +14,11 @@ from sb3_adaptive_q.callbacks import Episodes
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, is_disabled, machine_code
 from sb3_adaptive_q.compiled.records import CONTROL, ENV, EPISODE
+from sb3_adaptive_q.policies import count_actions
 from sb3_adaptive_q.random_numbers import read_pcg64, write_pcg64
 from sb3_adaptive_q.rollouts.callbacks_due import callbacks_of_sb3, episodes_until_due, skip_steps, steps_until_due
 from sb3_adaptive_q.rollouts.step_rollout import RolloutState, StepRollout
+from sb3_adaptive_q.state_index import make_state_index
 from sb3_adaptive_q.vec_env.compiled_vec_env import CompiledVecEnv
 
 #: Transitions of all environments between two calls of a user's callback
@@ -63,6 +65,7 @@ class CompiledRollout(StepRollout):
         self.episodes = np.zeros(self.interval * n_envs, EPISODE)
 
     def _compile(self) -> None:
+        self._check_sizes()
         make_loop = loops.make_single_loop if len(self.envs) == 1 else loops.make_several_loop
         loop = make_loop(self.choices.learn_one(), *self.dynamics.loop_functions())
         record = (np.zeros(0, EPISODE), np.zeros((0, len(self.envs)), dtype=bool))
@@ -74,6 +77,19 @@ class CompiledRollout(StepRollout):
                 f"A compiled environment needs machine code, but {self.model.own_functions()} or the dynamics "
                 f"{type(self.dynamics).__name__} do not compile: {error}. LeanVecEnv runs any Python function."
             ) from error
+
+    def _check_sizes(self) -> None:
+        """Machine code does not look at sizes, and an environment may be another one than when the model was made."""
+        env, table = self.env.envs[0], self.tables[0].shape
+        found = self.dynamics.table_shape() or (
+            make_state_index(env.observation_space).n_states,
+            count_actions(env.action_space),
+        )
+        if found != table:
+            raise ValueError(
+                f"{type(env.unwrapped).__name__} has {found[0]} states and {found[1]} actions, but the model's table has "
+                f"{table[0]} and {table[1]}: please make a new model for this environment."
+            )
 
     def _arguments(self, record: tuple[np.ndarray, np.ndarray]) -> tuple[Any, ...]:
         dynamics = (self.places, self._generators(), tuple(self.dynamics.parameters))

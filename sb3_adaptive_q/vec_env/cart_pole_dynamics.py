@@ -27,6 +27,9 @@ class _CartPoleDynamics(Dynamics):
                 "that name: please wrap it."
             )
 
+    def table_shape(self) -> tuple[int, int]:
+        return int(np.prod(self.parameters.counts + 1)), 2
+
     def write_state(self, state: Any) -> None:
         super().write_state(state)
         self.env.steps_beyond_terminated = None  # type: ignore[attr-defined]

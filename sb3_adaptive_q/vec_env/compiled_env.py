@@ -84,7 +84,7 @@ class CompiledEnv:
         """
         state = self.dynamics.read_state()
         try:
-            row = self.dynamics.index(self.dynamics.parameters, state) if _is_known(state, n_states) else -1
+            row = self.dynamics.index(self.dynamics.parameters, state) if _is_known(state) else -1
         except (IndexError, OverflowError, ValueError):
             row = -1
         if not 0 <= row < n_states:
@@ -132,8 +132,8 @@ class CompiledEnv:
             self.layers.monitor.results_writer.write_row(row)
 
 
-def _is_known(state: Any, n_states: int) -> bool:
-    return bool(np.isfinite(state).all()) and (isinstance(state, tuple) or 0 <= state < n_states)
+def _is_known(state: Any) -> bool:
+    return bool(np.isfinite(state).all()) and (isinstance(state, tuple) or abs(state) < 2**53)  # so far floats are exact
 
 
 def _dynamics_of(env: gym.Env) -> type[Dynamics]:

@@ -38,6 +38,10 @@ class CompiledVecEnv(LeanVecEnv):
         :raises ValueError: if an environment does not compile, differs from the others, or does not step as its
             functions do
         """
+        if len(self.envs) != self.num_envs:
+            raise ValueError(
+                f"`envs` must hold {self.num_envs} environments, but holds {len(self.envs)}: make a new CompiledVecEnv."
+            )
         compiled = [CompiledEnv(env) for env in self.envs]
         for i, each in enumerate(compiled[1:], 1):
             if not compiled[0].is_like(each):

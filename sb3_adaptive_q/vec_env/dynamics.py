@@ -50,11 +50,25 @@ class Dynamics:
     def __init__(self, env: gym.Env, grid: "Grid | None") -> None:
         self.env = env
 
+    def table_shape(self) -> tuple[int, int] | None:
+        """
+        :return: how many states ``index`` numbers, and for how many actions there are parameters; ``None`` for what the
+            environment's spaces say
+        """
+        return None
+
     def read_state(self) -> Any:
         """
         :return: the environment's state as the functions take it
+        :raises ValueError: if it is not made of numbers
         """
-        return tuple(float(value) for value in self.env.state)  # type: ignore[attr-defined]
+        state = self.env.state  # type: ignore[attr-defined]
+        try:
+            return tuple(float(value) for value in state)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"`state` of {type(self.env).__name__} must be numbers, but is {state!r}: please reset the environment."
+            ) from error
 
     def write_state(self, state: Any) -> None:
         """
@@ -140,6 +154,26 @@ def registered_names() -> list[str]:
     :return: the names of the environment classes with registered dynamics
     """
     return sorted(env_class.__name__ for env_class in _registered)
+
+
+def whole_number_of(env: Any, name: str) -> int:
+    """
+    :param env: an environment without its wrappers
+    :param name: of an attribute that must be a whole number of at least 0, and less than 2**53, up to which floats are exact
+    :return: the number
+    :raises ValueError: if it is anything else
+    """
+    value = getattr(env, name)
+    try:
+        is_fit = bool(int(value) == value) and 0 <= value < 2**53
+    except (TypeError, ValueError, OverflowError):
+        is_fit = False
+    if not is_fit:
+        raise ValueError(
+            f"`{name}` of {type(env).__name__} must be a whole number of at least 0, but is {value!r}: please reset the "
+            "environment, or put it into a state that it has."
+        )
+    return int(value)
 
 
 class Grid(NamedTuple):

@@ -11,7 +11,7 @@ from gymnasium.envs.toy_text.taxi import TaxiEnv
 
 from sb3_adaptive_q.compiled.loops import check_nothing
 from sb3_adaptive_q.random_numbers import draw_place, random_float
-from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid
+from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, whole_number_of
 from sb3_adaptive_q.vec_env.readings import Readings
 
 #: A VecEnv returns rewards as float32
@@ -73,7 +73,10 @@ class TabularDynamics(Dynamics):
                 f"{type(self.env).__name__} has a transition table `P`, so its state must be in the attribute `s`, but it "
                 "has none after a reset: please keep the state in `s`, or use LeanVecEnv, which works with everything."
             )
-        return int(self.env.s)
+        return whole_number_of(self.env, "s")
+
+    def table_shape(self) -> tuple[int, int]:
+        return self.parameters.outcomes.shape[:2]
 
     def write_state(self, state: Any) -> None:
         self.env.s = int(state)  # type: ignore[attr-defined]
@@ -191,15 +194,18 @@ def _count(env: Any, name: str) -> int:
 
 def _outcomes_of(env: Any, state: int, action: int) -> Any:
     try:
-        return env.P[state][action]
-    except (KeyError, IndexError) as error:
-        raise ValueError(f"`P` must have P[{state}][{action}], but that is missing: please check the table.") from error
+        outcomes = env.P[state][action]
+        len(outcomes)
+    except (LookupError, TypeError) as error:
+        raise ValueError(f"`P` must have a list P[{state}][{action}], but that is missing: please check the table.") from error
+    return outcomes
 
 
 def _cumulative(name: str, probabilities: Any) -> np.ndarray:
     values = np.asarray(probabilities, dtype=np.float64)
-    if not (values >= 0.0).all() or not np.isclose(values.sum(), 1.0, rtol=0.0, atol=1e-8):
-        raise ValueError(f"The probabilities of {name} must sum to 1, but are {values.tolist()}: please check the table.")
+    if values.ndim != 1 or not (values >= 0.0).all() or not np.isclose(values.sum(), 1.0, rtol=0.0, atol=1e-8):
+        shown = values.tolist() if values.size < 100 else f"an array of shape {values.shape}"
+        raise ValueError(f"The probabilities of {name} must sum to 1, but are {shown}: please check the table.")
     return np.cumsum(values)
 
 
@@ -207,10 +213,13 @@ def _check_outcomes(name: str, outcomes: Any, n_states: int) -> None:
     if not outcomes:
         raise ValueError(f"{name} must have at least one outcome, but is empty: please check the table.")
     for outcome in outcomes:
-        if np.shape(outcome) != (4,):
-            raise ValueError(f"The outcomes of {name} must be (probability, next state, reward, terminated), not {outcome}.")
-        _, next_state, reward, _ = outcome
+        try:
+            _, next_state, reward, _ = map(float, outcome)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"The outcomes of {name} must be (probability, next state, reward, terminated), but one is {outcome!r}."
+            ) from error
         if not (0 <= next_state < n_states and next_state == int(next_state)):
-            raise ValueError(f"The next states of {name} must be 0 to {n_states - 1}, but one is {next_state}.")
+            raise ValueError(f"The next states of {name} must be 0 to {n_states - 1}, but one is {next_state:g}.")
         if not abs(reward) <= LARGEST_REWARD:
             raise ValueError(f"The rewards of {name} must be finite numbers of float32, but one is {reward}.")
