@@ -151,8 +151,10 @@ class InstalledMethod:
         step = _STEP_OF_ZEROS._replace(
             state=n_states - 1, action=n_actions - 1, row=shape[0] - 1, count=float(self.data.counts)
         )
+        arrays = [np.full(shape, start) for start in self.data.memory.values()]
+        as_python: Any = getattr(self.step_size, "py_func", self.step_size)  # which looks at sizes
         try:
-            self.step_size(0.0, step, *self.arguments, *(np.full(shape, start) for start in self.data.memory.values()))
+            as_python(0.0, step, *self.arguments, *arrays)
         except IndexError as error:
             raise ValueError(
                 f"`step_size` of {self.data.owner} looks for a cell that its memory does not have ({error}): with the scope "

@@ -95,7 +95,7 @@ class TabularModel:
         reward, merged = 0.0, dict[int, float]()
         for probability, next_state, outcome_reward, terminated in outcomes:
             if not (0 <= next_state < self.n_states and next_state == int(next_state)):
-                raise ValueError(f"The next states of {name} must be 0 to {self.n_states - 1}, but one is {next_state:g}.")
+                raise ValueError(f"The next states of {name} must be 0 to {self.n_states - 1}, but one is {next_state:.16g}.")
             if not np.isfinite(outcome_reward):
                 raise ValueError(f"The rewards of {name} must be finite, but one is {outcome_reward}.")
             reward += probability * outcome_reward

@@ -220,6 +220,6 @@ def _check_outcomes(name: str, outcomes: Any, n_states: int) -> None:
                 f"The outcomes of {name} must be (probability, next state, reward, terminated), but one is {outcome!r}."
             ) from error
         if not (0 <= next_state < n_states and next_state == int(next_state)):
-            raise ValueError(f"The next states of {name} must be 0 to {n_states - 1}, but one is {next_state:g}.")
+            raise ValueError(f"The next states of {name} must be 0 to {n_states - 1}, but one is {next_state:.16g}.")
         if not abs(reward) <= LARGEST_REWARD:
             raise ValueError(f"The rewards of {name} must be finite numbers of float32, but one is {reward}.")
