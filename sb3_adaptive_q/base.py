@@ -271,7 +271,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         progress_bar = check("progress_bar", progress_bar)
         if self.env is None:
             raise ValueError("There is no environment to learn from: please hand one to `load` as `env`, or call `set_env`.")
-        self.check_sizes()
+        self.check_counts(reset_num_timesteps)
         self._check_arguments()
         self.check_functions_found(callback)
         self._log_interval = log_interval
@@ -295,7 +295,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         self._total_episodes = self._episode_num + self.total_episodes if self.total_episodes else inf
         record = self.training.record
         record["total_timesteps"] = min(max(int(self._total_timesteps), 1), MOST_STEPS)  # progress is a share of it
-        record["total_episodes"] = self._total_episodes if self.total_episodes else 0
+        record["total_episodes"] = min(self._total_episodes, MOST_STEPS) if self.total_episodes else 0
         self._start_step_size(reset_num_timesteps)
         self._start_exploration()
         self._go_on(reset_num_timesteps)

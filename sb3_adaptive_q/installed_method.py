@@ -1,6 +1,7 @@
 """A method as the model keeps it: its plain data and its functions."""
 
 import inspect
+import warnings
 from collections.abc import Callable
 from functools import cached_property
 from numbers import Real
@@ -52,6 +53,26 @@ class MethodData(NamedTuple):
     mu_0: float | None = None
     next_action: str = "next"
     reset_each_episode: bool = False
+
+
+class _NoSuchCell(IndexError):
+    """A place outside of an array."""
+
+
+class _Cells(np.ndarray):
+    """An array whose error tells that the place was outside of this array, and of no other."""
+
+    def __getitem__(self, place: Any) -> Any:
+        try:
+            return super().__getitem__(place)
+        except IndexError as error:
+            raise _NoSuchCell(str(error)) from error
+
+    def __setitem__(self, place: Any, value: Any) -> None:
+        try:
+            super().__setitem__(place, value)
+        except IndexError as error:
+            raise _NoSuchCell(str(error)) from error
 
 
 class InstalledMethod:
@@ -143,23 +164,26 @@ class InstalledMethod:
 
         :param n_states: rows of the table
         :param n_actions: columns of the table
-        :raises ValueError: if the function looks for a cell that does not exist: machine code would not notice
+        :raises ValueError: if it then looks for a cell that its memory does not have: machine code would not notice
         """
-        shape = scope_shape(self.data.scope, n_states, n_actions)
         if self.step_size is None or self.data.scope == "pair" or _is_own(self.step_size):
             return
-        step = _STEP_OF_ZEROS._replace(
-            state=n_states - 1, action=n_actions - 1, row=shape[0] - 1, count=float(self.data.counts)
-        )
-        arrays = [np.full(shape, start) for start in self.data.memory.values()]
-        as_python: Any = getattr(self.step_size, "py_func", self.step_size)  # which looks at sizes
-        try:
-            as_python(0.0, step, *self.arguments, *arrays)
-        except IndexError as error:
-            raise ValueError(
-                f"`step_size` of {self.data.owner} looks for a cell that its memory does not have ({error}): with the scope "
-                f"{self.data.scope!r} the arrays have the shape {shape}, so please use `[step.row, step.column]`."
-            ) from error
+        shape = scope_shape(self.data.scope, n_states, n_actions)
+        function: Any = getattr(self.step_size, "py_func", self.step_size)
+        last = _STEP_OF_ZEROS._replace(state=n_states - 1, action=n_actions - 1, row=shape[0] - 1, count=1.0)
+        for step in (last, last._replace(value=1.0, next_value=1.0, td_error=1.0)):
+            arrays = [np.full(shape, start).view(_Cells) for start in self.data.memory.values()]
+            try:
+                with warnings.catch_warnings(), np.errstate(all="ignore"):
+                    warnings.simplefilter("ignore")
+                    function(0.5, step, *self.arguments, *arrays)
+            except _NoSuchCell as error:
+                raise ValueError(
+                    f"`step_size` of {self.data.owner} looks for a cell that its memory does not have ({error}): with scope "
+                    f"{self.data.scope!r} the arrays have the shape {shape}, so please use `[step.row, step.column]`."
+                ) from error
+            except Exception:  # such as a division by 0, which need not happen while learning
+                pass
 
     def start(self) -> float:
         """

@@ -57,19 +57,20 @@ class LearnedTable(StepSizeInForce):
         masks = (self._masks(),) if self.use_masking else ()
         return (*tables, *self._working.values(), *masks), (*self._step_size_memory(), self._update_parameters)
 
-    def check_sizes(self) -> None:
+    def check_counts(self, restarts: bool) -> None:
         """
-        Check what a training takes for granted before it begins.
+        Check two counts that a training begins with.
 
+        :param restarts: whether it counts steps from 0
         :raises ValueError: if there are more or fewer environments than the model was made for, or too many steps to count on
         """
         assert self.env is not None
         if self.n_envs != self.env.num_envs:
             raise ValueError(
-                f"The model learns in {self.n_envs} environments, but its VecEnv has {self.env.num_envs}: please make a new "
-                "model, or set neither `n_envs` nor `num_envs`."
+                f"The model was made for a VecEnv of {self.n_envs}, but this one has {self.env.num_envs} environments: please "
+                "make a new model, or `load` one with `env=`."
             )
-        if self.num_timesteps > MOST_STEPS:
+        if self.num_timesteps > MOST_STEPS and not restarts:
             raise ValueError(f"`num_timesteps` must be at most {MOST_STEPS}, but is {self.num_timesteps}: please set it to 0.")
 
     def _share_mu(self) -> None:
@@ -112,7 +113,7 @@ class LearnedTable(StepSizeInForce):
 
     def _masks(self) -> np.ndarray:
         if ALLOWED not in self.policy._buffers:
-            raise ValueError("`use_masking` needs a table of masks, which the constructor makes: please pass it there.")
+            raise ValueError("There is no table of masks in the policy: please pass `use_masking=True` to the constructor.")
         return self.policy.array(ALLOWED, (self.policy.n_states, self.policy.n_actions))
 
     def was_exploratory(self) -> np.ndarray:

@@ -84,10 +84,10 @@ def _check_independence(models: Sequence[TabularAlgorithm]) -> None:
                 "environments hold the interpreter lock, so let those models learn one after the other."
             )
     for what, owned in (
-        ("environments", [env.unwrapped for model in models for env in model.env.envs]),
-        ("tables", [model.policy for model in models]),
+        ("environments", [id(env.unwrapped) for model in models for env in model.env.envs]),
+        ("tables", [model.policy.q_table.data_ptr() for model in models]),
     ):
-        if len(set(map(id, owned))) < len(owned):
+        if len(set(owned)) < len(owned):
             raise ValueError(f"Models that learn at the same time need {what} of their own, but two share one.")
 
 

@@ -16,6 +16,7 @@ from sb3_adaptive_q.checks import ATTRIBUTES, CONSTRUCTOR, check
 from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.model_archive import HoldsPickles, read_archive, refusing, write_archive
 from sb3_adaptive_q.old_files import read_pickled
+from sb3_adaptive_q.action_masks import ALLOWED
 from sb3_adaptive_q.policies import MEMORY, count_actions
 from sb3_adaptive_q.running import check_actions
 from sb3_adaptive_q.saved_model import SavedModel, buffers_of, collect, decode_model
@@ -337,7 +338,7 @@ def _check_numbers(attributes: dict[str, Any], saved: SavedModel) -> None:
 
 def _check_values(arrays: Mapping[str, np.ndarray]) -> None:
     for name, array in arrays.items():
-        if array.dtype.kind not in "fiu":
+        if array.dtype.kind not in ("biuf" if name == ALLOWED else "iuf"):
             raise ValueError(f"`{name}` must hold real numbers, but holds {array.dtype}")
         sound = ~np.isnan(array) if name.startswith(MEMORY) else np.isfinite(array)
         if not sound.all():

@@ -92,8 +92,10 @@ class TabularQPolicy(BasePolicy):
         :param name: of a buffer
         :param shape: that it must have
         :return: the buffer as an array for machine code, which does not look at shapes
-        :raises ValueError: if it was replaced by a tensor of another kind
+        :raises ValueError: if it was removed, or replaced by a tensor of another kind
         """
+        if name not in self._buffers:
+            raise ValueError(f"The policy has no buffer `{name}` any more, which the training needs: please do not remove it.")
         array = getattr(self, name).numpy()
         if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
             raise ValueError(

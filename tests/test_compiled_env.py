@@ -243,6 +243,7 @@ class TestTransitionTables:
             (table_with((1.0, None, 0.0, False)), ["P[0][0]", "(probability, next state, reward, terminated)", "None"]),
             (table_with((1.0, 0, 1j, False)), ["P[0][0]", "(probability, next state, reward, terminated)", "1j"]),
             (table_with((1.0, 0, [0.0, 1.0], False)), ["P[0][0]", "(probability, next state, reward, terminated)"]),
+            (table_with((1.0, "0", 0.0, False)), ["P[0][0]", "(probability, next state, reward, terminated)", "'0'"]),
             (table_with(None), ["P[0][0]", "(probability, next state, reward, terminated)", "None"]),
             (TableEnv([[None]], [1.0]), ["a list P[0][0]", "missing"]),
             (TableEnv([[[(1.0, 0, 0.0, False)], []]], [1.0]), ["P[0][1]", "at least one outcome"]),

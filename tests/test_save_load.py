@@ -547,6 +547,13 @@ class TestOtherSizes:
             model.set_parameters(parameters)
         assert (model.q_table == 0.5).all() and (model.memory["visits"] == 0.0).all()
 
+    def test_masks_may_be_truth_values(self):
+        model = TabularQ("MlpPolicy", make_vec_env("Taxi-v4"), use_masking=True)
+        masks = th.ones((500, 6), dtype=th.bool)
+        masks[3, 2] = False
+        model.set_parameters({"policy": {"allowed": masks}}, exact_match=False)
+        assert (model.policy.allowed.numpy() == masks.numpy()).all()
+
     def test_some_parameters_can_be_set(self):
         model = TabularQ("MlpPolicy", LAKE, method="polynomial")
         model.set_parameters({"policy": {"q_table": th.ones(16, 4)}}, exact_match=False)

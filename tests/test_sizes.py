@@ -114,14 +114,14 @@ def test_fewer_environments_than_there_are(kind: Any, algorithm: Any) -> None:
     """The arrays of traces have a part for each."""
     model = algorithm("MlpPolicy", make_vec_env(LAKE, 4, vec_env_cls=kind), seed=0)
     model.n_envs = 1
-    with pytest.raises(ValueError, match="The model learns in 1 environments, but its VecEnv has 4"):
+    with pytest.raises(ValueError, match="The model was made for a VecEnv of 1, but this one has 4 environments"):
         model.learn(1000)
 
 
 def test_a_count_that_is_loaded(tmp_path: Path) -> None:
     learned(kind=LeanVecEnv).save(tmp_path / "model")
     model = TabularQ.load(tmp_path / "model", env=make_vec_env(LAKE, 4, vec_env_cls=LeanVecEnv), n_envs=1)
-    with pytest.raises(ValueError, match="The model learns in 1 environments, but its VecEnv has 4"):
+    with pytest.raises(ValueError, match="The model was made for a VecEnv of 1, but this one has 4 environments"):
         model.learn(1000)
 
 
@@ -157,7 +157,7 @@ def test_another_table_of_masks() -> None:
 def test_masks_that_were_not_asked_for_in_time() -> None:
     model = learned(kind=LeanVecEnv)
     model.use_masking = True
-    refuses(model, "`use_masking` needs a table of masks, which the constructor makes")
+    refuses(model, "There is no table of masks in the policy: please pass `use_masking=True`")
 
 
 class AtStateAndAction(LearningRateCallback):
@@ -176,11 +176,54 @@ class AtStateAndAction(LearningRateCallback):
 def test_a_step_size_that_looks_beyond_its_memory(kind: Any, scope: str, shape: str) -> None:
     model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=kind), seed=0)
     message = (
-        rf"AtStateAndAction looks for a cell .* the scope '{scope}' .* shape {shape}, so please use .\[step.row, step.col"
+        rf"AtStateAndAction looks for a cell .* with scope '{scope}' .* shape {shape}, so please use .\[step.row, step.col"
     )
     with pytest.raises(ValueError, match=message):
         model.learn(1000, callback=AtStateAndAction(scope=scope))
     model.learn(1000, callback=AtStateAndAction())
+
+
+class Own(LearningRateCallback):
+    """Divides by what is not 0 while learning, and looks into a table of its own that has no entry for the last state."""
+
+    memory = {"v": 1.0}  # noqa: RUF012
+
+    @staticmethod
+    def step_size(mu: float, step: Any, v: Any) -> float:
+        v[step.row, step.column] += 1.0 / abs(step.value)
+        return min(OWN[step.state], 1.0)
+
+
+OWN = np.full(15, 0.1)
+
+
+@pytest.mark.parametrize("scope", ["pair", "state", "shared"])
+def test_a_step_size_that_works_though_not_for_a_step_of_zeros(scope: str) -> None:
+    """The last state of a lake is terminal, so no update begins there."""
+    model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=CompiledVecEnv), initial_q=1.0, seed=0)
+    model.learn(1000, callback=Own(scope=scope, mu_0=0.1))
+    assert (model.q_table < 1.0).any()
+
+
+class OnlyWhereThereIsAnError(LearningRateCallback):
+    memory = {"v": 0.0}  # noqa: RUF012
+
+    @staticmethod
+    def step_size(mu: float, step: Any, v: Any) -> float:
+        if step.td_error != 0.0:
+            v[step.state, step.action] += 1.0
+        return 0.1
+
+
+def test_a_slip_in_a_branch_is_found_too() -> None:
+    with pytest.raises(ValueError, match="OnlyWhereThereIsAnError looks for a cell that its memory does not have"):
+        learned().learn(1000, callback=OnlyWhereThereIsAnError(scope="shared"))
+
+
+def test_memory_that_was_dropped() -> None:
+    model = learned(method="bakf")
+    model.policy.forget_memory()
+    refuses(model, "The policy has no buffer `memory_visits` any more")
 
 
 def test_a_start_distribution_of_two_axes() -> None:
@@ -194,14 +237,14 @@ def test_a_start_distribution_of_two_axes() -> None:
 def test_numbers_that_no_environment_counts_to(name: str, number: Any) -> None:
     model = learned(moving)
     setattr(env_of(model).unwrapped, name, number)
-    refuses(model, f"`{name}` of SwitchingTablesEnv must be a whole number of at least 0, but is")
+    refuses(model, f"`{name}` of SwitchingTablesEnv must be a whole number from 0 to 2")
 
 
 @pytest.mark.parametrize("state", [3.7, "3", -0.5, -1, None, float("nan"), 10**30])
 def test_states_that_a_table_does_not_have(state: Any) -> None:
     model = learned()
     env_of(model).unwrapped.s = state
-    refuses(model, "`s` of FrozenLakeEnv must be a whole number of at least 0, but is")
+    refuses(model, "`s` of FrozenLakeEnv must be a whole number from 0 to 2")
 
 
 @pytest.mark.parametrize("state", [None, 1.0, "text"])
@@ -229,6 +272,13 @@ def test_counts_beyond_what_a_training_reaches() -> None:
     model = learned()
     model.num_timesteps = MOST_STEPS + 1
     refuses(model, f"`num_timesteps` must be at most {MOST_STEPS}")
+    assert model.learn(100, log_interval=None).num_timesteps == 100
+
+
+def test_episodes_without_end_can_be_saved(tmp_path: Path) -> None:
+    model = learned(total_episodes=MOST_STEPS)
+    model.learn(100, log_interval=None, reset_num_timesteps=False).save(tmp_path / "model")
+    assert TabularQ.load(tmp_path / "model").num_timesteps == 200
 
 
 class Halves(FrozenLakeEnv):
@@ -254,9 +304,6 @@ class HalvesDynamics(TabularDynamics):
     def __init__(self, env: Any, grid: Any) -> None:
         self.env, self.parameters = env, read_table(FrozenLakeEnv())
 
-    def table_shape(self) -> Any:
-        return None
-
     @staticmethod
     def index(parameters: Any, state: Any) -> Any:
         return state // 2
@@ -277,11 +324,17 @@ def share_policy(first: TabularQ, second: TabularQ) -> None:
     second.policy = first.policy
 
 
+def share_table(first: TabularQ, second: TabularQ) -> None:
+    second.policy.q_table = first.policy.q_table
+
+
 def share_environment(first: TabularQ, second: TabularQ) -> None:
     env_of(second).env = env_of(first).env
 
 
-@pytest.mark.parametrize(("share", "what"), [(share_policy, "tables"), (share_environment, "environments")])
+@pytest.mark.parametrize(
+    ("share", "what"), [(share_policy, "tables"), (share_table, "tables"), (share_environment, "environments")]
+)
 def test_models_that_share_what_they_change(share: Callable[[TabularQ, TabularQ], None], what: str) -> None:
     models = [learned(), learned()]
     share(*models)

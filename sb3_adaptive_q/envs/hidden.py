@@ -145,7 +145,7 @@ class ClockDynamics(Dynamics):
         Read the environment's state.
 
         :return: state and clock
-        :raises ValueError: if one of them is no whole number of at least 0
+        :raises ValueError: if one of them is no whole number from 0 to 2**53
         """
         return float(whole_number_of(self.env, "s")), float(whole_number_of(self.env, "clock"))
 

@@ -65,7 +65,7 @@ class CompiledRollout(StepRollout):
         self.episodes = np.zeros(self.interval * n_envs, EPISODE)
 
     def _compile(self) -> None:
-        self._check_sizes()
+        self._compare_with_table()
         make_loop = loops.make_single_loop if len(self.envs) == 1 else loops.make_several_loop
         loop = make_loop(self.choices.learn_one(), *self.dynamics.loop_functions())
         record = (np.zeros(0, EPISODE), np.zeros((0, len(self.envs)), dtype=bool))
@@ -78,8 +78,12 @@ class CompiledRollout(StepRollout):
                 f"{type(self.dynamics).__name__} do not compile: {error}. LeanVecEnv runs any Python function."
             ) from error
 
-    def _check_sizes(self) -> None:
-        """Machine code does not look at sizes, and an environment may be another one than when the model was made."""
+    def _compare_with_table(self) -> None:
+        """
+        Machine code does not look at sizes, and an environment may be another one than when the model was made.
+
+        :raises ValueError: if it has not the states and actions of the table
+        """
         env, table = self.env.envs[0], self.tables[0].shape
         found = self.dynamics.table_shape() or (
             make_state_index(env.observation_space).n_states,

@@ -159,19 +159,18 @@ def registered_names() -> list[str]:
 def whole_number_of(env: Any, name: str) -> int:
     """
     :param env: an environment without its wrappers
-    :param name: of an attribute that must be a whole number of at least 0, and less than 2**53, up to which floats are exact
+    :param name: of an attribute that must be a whole number from 0 to 2**53, up to which floats are exact
     :return: the number
     :raises ValueError: if it is anything else
     """
     value = getattr(env, name)
     try:
-        is_fit = bool(int(value) == value) and 0 <= value < 2**53
+        is_fit = bool(int(value) == value) and 0 <= value <= 2**53
     except (TypeError, ValueError, OverflowError):
         is_fit = False
     if not is_fit:
         raise ValueError(
-            f"`{name}` of {type(env).__name__} must be a whole number of at least 0, but is {value!r}: please reset the "
-            "environment, or put it into a state that it has."
+            f"`{name}` of {type(env).__name__} must be a whole number from 0 to 2**53, but is {value!r}: please set it to one."
         )
     return int(value)
 

@@ -75,7 +75,9 @@ class TabularDynamics(Dynamics):
             )
         return whole_number_of(self.env, "s")
 
-    def table_shape(self) -> tuple[int, int]:
+    def table_shape(self) -> tuple[int, int] | None:
+        if type(self).index is not TabularDynamics.index:  # states and rows are then two things
+            return None
         return self.parameters.outcomes.shape[:2]
 
     def write_state(self, state: Any) -> None:
@@ -214,7 +216,8 @@ def _check_outcomes(name: str, outcomes: Any, n_states: int) -> None:
         raise ValueError(f"{name} must have at least one outcome, but is empty: please check the table.")
     for outcome in outcomes:
         try:
-            _, next_state, reward, _ = map(float, outcome)
+            *numbers, _ = outcome
+            _, next_state, reward = (float(each + 0.0) for each in numbers)  # a text is no number
         except (TypeError, ValueError) as error:
             raise ValueError(
                 f"The outcomes of {name} must be (probability, next state, reward, terminated), but one is {outcome!r}."
