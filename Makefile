@@ -65,7 +65,8 @@ exhaustive: $(DEV)  ## Run what the test suite has samples of, whole: all pairs 
 boundscheck: $(DEV)  ## Run the tests of machine code with every index checked
 	cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR="$$cache" \
 		$(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/test_same_results.py tests/test_compiled_env.py \
-		tests/test_compiled_callbacks.py tests/test_interrupts.py tests/test_algorithms_paths.py tests/test_transition_tables.py $(ARGS)
+		tests/test_compiled_callbacks.py tests/test_interrupts.py tests/test_algorithms_paths.py tests/test_transition_tables.py \
+		tests/test_sizes.py $(ARGS)
 
 lint: $(DEV)  ## Check style and formatting
 	$(BIN)/ruff check .
