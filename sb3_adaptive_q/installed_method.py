@@ -1,7 +1,6 @@
 """A method as the model keeps it: its plain data and its functions."""
 
 import inspect
-import warnings
 from collections.abc import Callable
 from functools import cached_property
 from numbers import Real
@@ -174,8 +173,7 @@ class InstalledMethod:
         for step in (last, last._replace(value=1.0, next_value=1.0, td_error=1.0)):
             arrays = [np.full(shape, start).view(_Cells) for start in self.data.memory.values()]
             try:
-                with warnings.catch_warnings(), np.errstate(all="ignore"):
-                    warnings.simplefilter("ignore")
+                with np.errstate(all="ignore"):
                     function(0.5, step, *self.arguments, *arrays)
             except _NoSuchCell as error:
                 raise ValueError(

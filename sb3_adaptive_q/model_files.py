@@ -11,12 +11,12 @@ import torch as th
 from stable_baselines3.common.type_aliases import GymEnv, TensorDict
 from stable_baselines3.common.utils import FloatSchedule, check_for_correct_spaces, get_system_info
 
+from sb3_adaptive_q.action_masks import ALLOWED
 from sb3_adaptive_q.callbacks import LearningRateCallback, iterate_callbacks
 from sb3_adaptive_q.checks import ATTRIBUTES, CONSTRUCTOR, check
 from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.model_archive import HoldsPickles, read_archive, refusing, write_archive
 from sb3_adaptive_q.old_files import read_pickled
-from sb3_adaptive_q.action_masks import ALLOWED
 from sb3_adaptive_q.policies import MEMORY, count_actions
 from sb3_adaptive_q.running import check_actions
 from sb3_adaptive_q.saved_model import SavedModel, buffers_of, collect, decode_model
