@@ -28,7 +28,7 @@ from sb3_adaptive_q.resume import Resumable, Unfinished
 from sb3_adaptive_q.rollouts.choice import make_rollout
 from sb3_adaptive_q.rollouts.step_rollout import StepRollout
 from sb3_adaptive_q.state_index import make_state_index
-from sb3_adaptive_q.training_state import TrainingState, integer_of_state
+from sb3_adaptive_q.training_state import TrainingState, field_of_state
 from sb3_adaptive_q.wrapped_environment import WrappedEnvironment
 
 SelfTabularAlgorithm = TypeVar("SelfTabularAlgorithm", bound="TabularAlgorithm")
@@ -94,9 +94,9 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
     policy: TabularQPolicy
 
     # The state of a training, kept where machine code reads and writes it
-    num_timesteps: int = integer_of_state("num_timesteps", "Environment steps taken.")
-    _episode_num: int = integer_of_state("n_episodes", "Episodes finished.")
-    _n_updates: int = integer_of_state("n_updates", "Transitions learned from.")
+    num_timesteps: int = field_of_state("num_timesteps", "Environment steps taken.")
+    _episode_num: int = field_of_state("n_episodes", "Episodes finished.")
+    _n_updates: int = field_of_state("n_updates", "Transitions learned from.")
 
     def __init__(
         self,
@@ -233,7 +233,8 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
             before.forget()
             if self._take_up(rollout):
                 self._learn_from(rollout, log_interval)
-            while self.num_timesteps < total_timesteps and self._episode_num < self._total_episodes:
+            counts = self.training.fields
+            while counts.num_timesteps < total_timesteps and counts.n_episodes < self._total_episodes:
                 callback.on_rollout_start()
                 rollout.advance()
                 callback.update_locals(step_locals)
@@ -256,8 +257,9 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
 
     def _learn_from(self, rollout: StepRollout, log_interval: int | None) -> None:
         rollout.learn()
-        self._current_progress_remaining = 1.0 - self._progress
-        if log_interval is not None and self._episode_num >= self._last_dump + log_interval:
+        counts = self.training.fields
+        self._current_progress_remaining = 1.0 - counts.progress
+        if log_interval is not None and counts.n_episodes >= self._last_dump + log_interval:
             self.dump_logs()
 
     def _begin(

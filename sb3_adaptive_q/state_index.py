@@ -132,13 +132,11 @@ class DiscreteIndex(StateIndex):
         return number - self.start
 
     def of_vec(self, observations: Any) -> list[int]:
-        numbers, start = self._numbers, self.start
-        rows: list[int] = []
-        for observation in observations.tolist():
-            if type(observation) is not int or observation not in numbers:
+        values = observations.tolist()
+        for value in values:
+            if type(value) is not int or value not in self._numbers:
                 return self.of_batch(observations).tolist()
-            rows.append(observation - start)
-        return rows
+        return [value - self.start for value in values] if self.start else values
 
     def of_batch(self, observations: Any) -> np.ndarray:
         if len(_shape(observations) or ()) != 1:

@@ -15,7 +15,7 @@ from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
 from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
 from sb3_adaptive_q.rollouts.functions import Choices, make_explore
 from sb3_adaptive_q.step_sizes.cells import keep_mu, scalar_size, scope_shape
-from sb3_adaptive_q.training_state import TrainingState, number_of_state
+from sb3_adaptive_q.training_state import TrainingState, field_of_state
 
 #: The bounds of a step size without a method: none, because a scalar is checked where it is computed
 _NO_BOUNDS = (float("-inf"), float("inf"))
@@ -36,9 +36,9 @@ class StepSizeInForce(AlgorithmDeclaration):
     _missing_method: MethodData | None
     _known_learning_rate: Any
 
-    _exploration_rate = number_of_state("epsilon", "The exploration rate in force.")
-    _mu = number_of_state("mu", "The scalar step size in force.")
-    _progress = number_of_state("progress", "The part of the training that is done.")
+    _exploration_rate = field_of_state("epsilon", "The exploration rate in force.")
+    _mu = field_of_state("mu", "The scalar step size in force.")
+    _progress = field_of_state("progress", "The part of the training that is done.")
 
     @property
     def mu(self) -> float:

@@ -1,6 +1,7 @@
 """All that learning changes besides the table and the step size's memory: one record, the agent's random counter in it."""
 
 from math import inf, isnan
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ _NOT_RESTORED = {
     "gamma", "exploration_initial", "exploration_final", "exploration_fraction", "mu_0", "next_action", "resets_mu", "value",
     "refused_size", "refused_mu", "refused_epsilon", "refused_action",
 }  # fmt: skip
-_PLACES = {name: place for place, name in enumerate(_NAMES)}
+_FIELDS: Any = np.ctypeslib.as_ctypes_type(LEARNER)  # type: ignore[arg-type]  # its stubs know no records
 
 
 class TrainingState:
@@ -30,9 +31,8 @@ class TrainingState:
     def _view(self) -> None:
         #: The agent's random counter
         self.draws: np.ndarray = self.record["counter"]
-        # Entries of a memory view are Python's numbers, and cost a third of what a record's fields cost
-        self._integers: Any = memoryview(self.record.view(np.int64))  # type: ignore[arg-type]
-        self._numbers: Any = memoryview(self.record.view(np.float64))  # type: ignore[arg-type]
+        #: The same memory with an attribute for each field: Python reads it five times as fast as the fields of a record
+        self.fields: Any = _FIELDS.from_buffer(self.record)
 
     def __getstate__(self) -> dict[str, Any]:
         return {"record": self.record.copy()}
@@ -60,7 +60,7 @@ class TrainingState:
         :param data: some or all of what :meth:`as_data` returned
         :raises ValueError: if a number is not one that a training reaches
         """
-        known = {name: value for name, value in data.items() if name in _PLACES and name not in _NOT_RESTORED}
+        known = {name: value for name, value in data.items() if name in _NAMES and name not in _NOT_RESTORED}
         for name, value in known.items():
             is_number = isinstance(value, int | float) and not isinstance(value, bool) and not isnan(value)
             if name in ("mu", "progress"):
@@ -77,32 +77,14 @@ class TrainingState:
             self.record[name] = value
 
 
-def integer_of_state(name: str, meaning: str) -> Any:
+def field_of_state(name: str, meaning: str) -> Any:
     """
     :param name: a field of ``LEARNER``
     :param meaning: the docstring
     :return: a property of a model that reads and writes it
     """
-    place = _PLACES[name]
 
-    def read(model: Any) -> int:
-        return model.training._integers[place]
+    def write(model: Any, value: Any) -> None:
+        model.training.record[name] = value
 
-    def write(model: Any, value: int) -> None:
-        model.training._integers[place] = int(value)
-
-    return property(read, write, doc=meaning)
-
-
-def number_of_state(name: str, meaning: str) -> Any:
-    """
-    :param name: a field of ``LEARNER``
-    :param meaning: the docstring
-    :return: a property of a model that reads it
-    """
-    place = _PLACES[name]
-
-    def read(model: Any) -> float:
-        return model.training._numbers[place]
-
-    return property(read, doc=meaning)
+    return property(attrgetter(f"training.fields.{name}"), write, doc=meaning)

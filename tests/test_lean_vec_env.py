@@ -290,11 +290,18 @@ CHANGES = {
     "a wrapper innermost": wrap_innermost,
     "another innermost": another_innermost,
     "a patched environment": lambda vec_env: patch(vec_env.envs[0].unwrapped),
-    "a patched Monitor": lambda vec_env: patch(vec_env.envs[0]),
-    "a patched limit": lambda vec_env: patch(vec_env.envs[0].env),
-    "patched checks": lambda vec_env: patch(vec_env.envs[0].env.env),
+}
+PATCHES = {
+    "Monitor": lambda vec_env: patch(vec_env.envs[0]),
+    "limit": lambda vec_env: patch(vec_env.envs[0].env),
+    "checks": lambda vec_env: patch(vec_env.envs[0].env.env),
     "a patch and its end": patch_and_unpatch,
 }
+
+
+def taxis() -> tuple[LeanVecEnv, DummyVecEnv]:
+    ours, theirs = (cls([lambda: Monitor(gym.make("Taxi-v4")) for _ in range(2)]) for cls in (LeanVecEnv, DummyVecEnv))
+    return ours, theirs
 
 
 class TestChangedAfterwards:
@@ -303,13 +310,37 @@ class TestChangedAfterwards:
     @pytest.mark.parametrize("steps_before", [0, 5])
     @pytest.mark.parametrize("name", CHANGES)
     def test_it_counts_from_the_next_step_on(self, name, steps_before):
-        ours, theirs = (cls([lambda: Monitor(gym.make("Taxi-v4")) for _ in range(2)]) for cls in (LeanVecEnv, DummyVecEnv))
+        ours, theirs = taxis()
         for env in (ours, theirs):
             env.seed(3)
             env.reset()
             for _ in range(steps_before):
                 env.step(np.array([0, 1]))
             CHANGES[name](env)
+        step_side_by_side(ours, theirs, 201)
+
+    @pytest.mark.parametrize("steps_before", [0, 200], ids=["first episode", "second episode"])
+    @pytest.mark.parametrize("name", PATCHES)
+    def test_the_step_of_a_wrapper_counts_from_the_start_of_an_episode(self, name, steps_before):
+        ours, theirs = taxis()
+        for env in (ours, theirs):
+            env.seed(3)
+            env.reset()
+            for _ in range(steps_before):
+                dones = env.step(np.array([0, 1]))[2]
+            assert steps_before == 0 or dones.all()
+            PATCHES[name](env)
+        step_side_by_side(ours, theirs, 201)
+
+    @pytest.mark.parametrize("name", PATCHES)
+    def test_the_step_of_a_wrapper_counts_from_a_reset(self, name):
+        ours, theirs = taxis()
+        for env in (ours, theirs):
+            env.reset()
+            env.step(np.array([0, 1]))
+            PATCHES[name](env)
+            env.seed(3)
+            env.reset()
         step_side_by_side(ours, theirs, 201)
 
     def test_the_observation_of_a_discretisation(self):

@@ -16,6 +16,9 @@ from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, m
 _EXAMPLE = (0, 0, 0.0, 0, False, False, 0)
 
 
+TransitionEntries = tuple[int, int, float, int, bool, bool, int]
+
+
 class RolloutState(NamedTuple):
     """
     The state of a rollout between two steps.
@@ -49,13 +52,13 @@ class StepRollout:
         self.step_locals["rollout"] = self
         self.env: VecEnv = model.env
         self.n_envs = self.env.num_envs
-        self.learner, self.draws = model.training.record, model.training.draws
+        self.learner, self.draws, self.counts = model.training.record, model.training.draws, model.training.fields
         self.state_index = model.policy.state_index
         self.considered = model.considered
         self.first_action = int(model.action_space.start)
         self.states = self.state_index.of_vec(model._last_obs)
         self.episode_returns, self.episode_lengths = [0.0] * self.n_envs, [0] * self.n_envs
-        self.transitions: list[tuple[float, int, bool, bool, int]] = []
+        self.transitions: list[TransitionEntries] = []
         self.take_choices()
         if model._next_actions is None:
             model._next_actions = np.array([self._choose_action(i) for i in range(self.n_envs)], dtype=np.int64)
@@ -112,7 +115,7 @@ class StepRollout:
         if self.first_action:
             actions += self.first_action
         new_obs, rewards, dones, infos = self.env.step(actions)
-        self.model.num_timesteps += self.n_envs
+        self.counts.num_timesteps += self.n_envs
         self.infos, self.dones = infos, dones.tolist()
         self.transitions = self._transitions(self.state_index.of_vec(new_obs), rewards.tolist())
         if self.model.use_masking:
@@ -125,15 +128,15 @@ class StepRollout:
         """Learn from the transitions that were made last, and choose the next actions."""
         if self.model.choices is not self.choices:
             self.take_choices()
-        self.note_episodes()
+        if True in self.dones:
+            self.note_episodes()
         update, states, actions = self._update, self.states, self.actions
         tables, memory, learner, draws, considered = self.tables, self.memory, self.learner, self.draws, self.considered
-        for i, (reward, next_state, terminated, done, start_state) in enumerate(self.transitions):
-            transition = (states[i], actions[i], reward, next_state, terminated, done, start_state)
+        for i, transition in enumerate(self.transitions):
             action = update(tables, memory, learner, draws, transition, i, considered)
             if action < 0:
                 self.refuse(states[i], actions[i])
-            states[i], actions[i] = start_state, action
+            states[i], actions[i] = transition[-1], action
         self.transitions = []
         self.model._last_obs = self.new_obs
 
@@ -149,9 +152,8 @@ class StepRollout:
         """
         :return: the state of the rollout, for a callback that saves the model
         """
-        pending = [(self.states[i], self.actions[i], *rest) for i, rest in enumerate(self.transitions)]
-        infos = self._infos_for_log() if pending else []
-        return RolloutState(pending, infos, self.episode_returns, self.episode_lengths)
+        infos = self._infos_for_log() if self.transitions else []
+        return RolloutState(self.transitions, infos, self.episode_returns, self.episode_lengths)
 
     def restore(self, state: RolloutState) -> None:
         """
@@ -160,7 +162,7 @@ class StepRollout:
         :param state: the state of the other rollout
         """
         self.episode_returns, self.episode_lengths = list(state.returns), list(state.lengths)
-        self.transitions = [transition[2:] for transition in state.transitions]
+        self.transitions = state.transitions
         self._restore_last_step(state)
 
     def _infos_for_log(self) -> list[dict[str, Any]]:
@@ -183,9 +185,8 @@ class StepRollout:
 
     def note_episodes(self) -> None:
         """Give the log the episodes that the last step ended."""
-        if True in self.dones:
-            ended = [info for info, done in zip(self.infos, self.dones, strict=True) if done]
-            self.model._update_info_buffer(ended, [True] * len(ended))
+        ended = [info for info, done in zip(self.infos, self.dones, strict=True) if done]
+        self.model._update_info_buffer(ended, [True] * len(ended))
 
     def refuse(self, state: int, action: int) -> NoReturn:
         """
@@ -213,18 +214,15 @@ class StepRollout:
 
     def _hand_over_episodes(self) -> None:
         """Pass the episodes that have just ended to the callbacks that record episodes."""
-        model, rows = self.model, []
-        for i, done in enumerate(self.dones):
-            if done:
-                rows.append(self._finished(i))
-                self.episode_returns[i], self.episode_lengths[i] = 0.0, 0
-        returns, lengths = zip(*rows, strict=True)
-        episodes = Episodes(
-            np.array(returns, dtype=np.float64), np.array(lengths, dtype=np.int64),
-            np.full(len(rows), model.mu), np.full(len(rows), model.exploration_rate),
-        )  # fmt: skip
-        for series in model.episode_series:
-            series.add(episodes)
+        ended = [i for i, done in enumerate(self.dones) if done]
+        if self.model.episode_series:
+            returns, lengths = zip(*map(self._finished, ended), strict=True)
+            mu, epsilon = np.full(len(ended), self.model.mu), np.full(len(ended), self.model.exploration_rate)
+            episodes = Episodes(np.array(returns, dtype=np.float64), np.array(lengths, dtype=np.int64), mu, epsilon)
+            for series in self.model.episode_series:
+                series.add(episodes)
+        for i in ended:
+            self.episode_returns[i], self.episode_lengths[i] = 0.0, 0
 
     def _finished(self, i: int) -> tuple[float, int]:
         """Return and length of the episode that environment i has just ended, from its Monitor if there is one."""
@@ -233,21 +231,19 @@ class StepRollout:
             return episode["r"], episode["l"]
         return round(self.episode_returns[i], 6), self.episode_lengths[i]
 
-    def _transitions(self, states: list[int], rewards: list[float]) -> list[tuple[float, int, bool, bool, int]]:
-        """For each environment: reward, state reached, whether it is terminal, whether the episode ended, state now."""
+    def _transitions(self, start_states: list[int], rewards: list[float]) -> list[TransitionEntries]:
         transitions = []
         for i, done in enumerate(self.dones):
-            reward = rewards[i]
+            reward, start_state = rewards[i], start_states[i]
             if not isfinite(reward):
                 self.refuse_reward(i, reward)
-            state = states[i]
-            next_state, terminated = state, done
+            next_state, terminated = start_state, done
             if done:
                 next_state = self.state_index.of(self.infos[i]["terminal_observation"])
                 terminated = not self.infos[i].get("TimeLimit.truncated", False)
             self.episode_returns[i] += reward
             self.episode_lengths[i] += 1
-            transitions.append((reward, next_state, terminated, done, state))
+            transitions.append((self.states[i], self.actions[i], reward, next_state, terminated, done, start_state))
         return transitions
 
     def _choose_action(self, i: int) -> int:
@@ -257,7 +253,7 @@ class StepRollout:
 
     def _note_masks(self, allowed: np.ndarray) -> None:
         """Store the masks of the states in which an action is chosen next."""
-        for i, (_, next_state, terminated, done, start_state) in enumerate(self.transitions):
+        for i, (_, _, _, next_state, terminated, done, start_state) in enumerate(self.transitions):
             if not terminated:
                 note_mask(allowed, next_state, self.infos[i])
             if done:

@@ -1,7 +1,6 @@
 """The wrappers around an environment, and a step through all of them in one call."""
 
 from collections.abc import Callable
-from math import inf
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -17,6 +16,8 @@ Step = tuple[Any, Any, bool, bool, dict[str, Any]]
 
 #: gymnasium's checks look at two steps: the second is compared with the first
 CHECKED_STEPS = 2
+#: At most this many wrappers with gymnasium's checks are looked through
+MOST_CHECKERS = 3
 
 
 class Layers(NamedTuple):
@@ -49,17 +50,21 @@ def peel(env: gym.Env) -> Layers:
             found[kind] = env
             env = env.env  # type: ignore[attr-defined]
     checked = env
-    while type(env) in (OrderEnforcing, PassiveEnvChecker) and not is_patched(env):
-        env = env.env  # type: ignore[attr-defined]
+    for _ in range(MOST_CHECKERS):
+        if type(env) in (OrderEnforcing, PassiveEnvChecker) and not is_patched(env):
+            env = env.env  # type: ignore[attr-defined]
     return Layers(found[Monitor], found[DiscretizeObservation], found[TimeLimit], checked, env)
 
 
-def is_patched(env: gym.Env) -> bool:
+def is_patched(wrapper: gym.Env) -> bool:
     """
-    :param env: an environment or a wrapper
+    :param wrapper: a wrapper of one of the kinds that are peeled off
     :return: whether its ``step``, ``reset`` or ``observation`` was replaced on this object
     """
-    return not {"step", "reset", "observation"}.isdisjoint(vars(env))
+    # Not by `vars(wrapper)`: CPython 3.11 reads an object's attributes more slowly after that
+    kind = type(wrapper)
+    methods = [name for name in ("step", "reset", "observation") if hasattr(kind, name)]
+    return any(getattr(getattr(wrapper, name), "__func__", None) is not getattr(kind, name) for name in methods)
 
 
 def _is_exactly(env: gym.Env, kind: type) -> bool:
@@ -84,22 +89,32 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
 
     :param env: the environment with its wrappers
     :return: a function of the environment and the action, which returns what ``env.step`` returns. If the environment has
-        changed (replaced, another wrapper inside it, or the ``step`` of a wrapper replaced), the function steps nothing and
-        returns ``None``. Make a new function then
+        changed (replaced, another wrapper inside it or, where an episode starts, the ``step`` of a wrapper replaced), the
+        function steps nothing and returns ``None``. Make a new function then
     """
     monitor, discretizer, limit, checked, inner = peel(env)
-    outermost, around, checks_left = env, _attributes_around(inner, env), CHECKED_STEPS
-    # Reading an attribute from the wrapper itself takes several times as long, because of its `__getattr__`
-    of_limit = vars(limit) if limit else {"_elapsed_steps": 0, "_max_episode_steps": inf}
-    of_monitor = vars(monitor) if monitor else {}
+    outermost, checks_left, is_first_step = env, CHECKED_STEPS, True
+    wrappers = _wrappers_around(inner, env)
+    own_steps = [wrapper.step for wrapper in wrappers]
+    first, second, third, fourth, fifth, sixth = wrappers + [_NO_WRAPPER] * (MOST_WRAPPERS - len(wrappers))
+    in_first, in_second, in_third, in_fourth, in_fifth, in_sixth = (
+        wrapper.env for wrapper in (first, second, third, fourth, fifth, sixth)
+    )
 
     def step(env: gym.Env, action: Any) -> Step | None:
-        nonlocal checks_left
-        if env is not outermost:
+        nonlocal checks_left, is_first_step
+        # A loop over the wrappers would take five times as long: Python reads attributes of one class the fastest
+        if (
+            env is not outermost
+            or first.env is not in_first
+            or second.env is not in_second
+            or third.env is not in_third
+            or fourth.env is not in_fourth
+            or fifth.env is not in_fifth
+            or sixth.env is not in_sixth
+            or (is_first_step and [wrapper.step for wrapper in wrappers] != own_steps)
+        ):
             return None
-        for attributes, below in around:
-            if attributes["env"] is not below or "step" in attributes:
-                return None
         if checks_left:
             outcome = checked.step(action)
             checks_left -= 1
@@ -107,17 +122,19 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
             outcome = inner.step(action)
         try:
             observation, reward, terminated, truncated, info = outcome
-            of_limit["_elapsed_steps"] = elapsed_steps = of_limit["_elapsed_steps"] + 1
-            truncated = truncated or elapsed_steps >= of_limit["_max_episode_steps"]
+            if limit is not None:
+                limit._elapsed_steps = elapsed_steps = limit._elapsed_steps + 1
+                truncated = truncated or elapsed_steps >= limit._max_episode_steps
             if discretizer is not None:
                 observation = discretizer.observation(observation)
+            is_first_step = terminated or truncated
             if monitor is None:
                 float(reward)  # NumPy would make a NaN of None
-            elif terminated or truncated or of_monitor["needs_reset"]:
+            elif is_first_step or monitor.needs_reset:
                 return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
             else:
-                of_monitor["rewards"].append(float(reward))
-                of_monitor["total_steps"] += 1
+                monitor.rewards.append(float(reward))
+                monitor.total_steps += 1
         except CONVERSION_ERRORS as error:
             raise_fault(find_fault_of_step(inner, outcome), error)
             raise
@@ -126,23 +143,34 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
     return step
 
 
-def _attributes_around(inner: gym.Env, env: Any) -> list[tuple[dict[str, Any], gym.Env]]:
-    """The attributes of each wrapper outside ``inner``, and the environment that it wraps."""
+def _wrappers_around(inner: gym.Env, env: Any) -> list[Any]:
+    """The wrappers outside ``inner``."""
     found = []
     while env is not inner:
-        found.append((vars(env), env.env))
+        found.append(env)
         env = env.env
     return found
 
 
 def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
-    attributes = vars(monitor)
-    env = attributes["env"]
-    attributes["env"] = _Outcome(outcome)
+    env = monitor.env
+    monitor.env = _Outcome(outcome)  # type: ignore[assignment]
     try:
         return monitor.step(action)
     finally:
-        attributes["env"] = env
+        monitor.env = env
+
+
+class _NoWrapper:
+    """Fills the places where an environment has no wrapper."""
+
+    def __init__(self) -> None:
+        self.env = None
+
+
+#: The Monitor, a discretisation, the time limit, and gymnasium's checks
+MOST_WRAPPERS = 3 + MOST_CHECKERS
+_NO_WRAPPER = _NoWrapper()
 
 
 class _Outcome:

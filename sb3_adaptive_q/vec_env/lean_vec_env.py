@@ -37,7 +37,8 @@ class LeanVecEnv(DummyVecEnv):
     LeanVecEnv copies only the arrays, and returns the environments' own info dicts. These have the same contents, unless an
     environment changes a dict after it has returned it.
 
-    An environment in ``envs``, a wrapper inside it, or a ``step`` may be replaced at any time: the next step uses the new one.
+    An environment in ``envs`` or a wrapper inside it may be replaced at any time: the next step uses the new one. A function
+    that replaces the ``step`` of a wrapper is used from the next episode on.
 
     :param env_fns: functions that each make a new environment
     :raises ValueError: if two of them return the same environment; in ``step`` and ``reset``, if an environment returns
@@ -113,6 +114,7 @@ class LeanVecEnv(DummyVecEnv):
             options = {"options": self._options[i]} if self._options[i] else {}
             observation, self.reset_infos[i] = _reset(env, seed=self._seeds[i], **options)
             self._save_obs(i, observation)
+            self._steps[i] = layered_step(env)
         # Seeds and options are only used once
         self._reset_seeds()
         self._reset_options()
