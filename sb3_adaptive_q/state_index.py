@@ -184,11 +184,11 @@ class ArrayIndex(StateIndex):
         rows = []
         for values in observations.reshape(len(observations), -1).tolist():
             row = 0
-            for value, size, start in zip(values, self.sizes, self.starts, strict=True):
-                digit = value - start
-                if not (0 <= digit < size and type(digit) is int):
+            for i, value in enumerate(values):  # a `zip` with `strict=True` takes longer
+                digit = value - self.starts[i]
+                if not (0 <= digit < self.sizes[i] and type(digit) is int):
                     return self.of_batch(observations).tolist()
-                row = row * size + digit
+                row = row * self.sizes[i] + digit
             rows.append(row)
         return rows
 
