@@ -78,7 +78,7 @@ class LearnedTable(StepSizeInForce):
         own = th.from_numpy(self.training.record["mu"])
         if self.policy.mu.data_ptr() != own.data_ptr():
             own[:] = self.policy.mu
-            self.policy.mu = own
+            self.policy.register_buffer("mu", own)
 
     def check_masks(self) -> None:
         """

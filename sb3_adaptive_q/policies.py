@@ -33,7 +33,8 @@ class TabularQPolicy(BasePolicy):
     """
     A table of action values, greedy in every state; the first of the best actions where they tie.
 
-    What learning changes are its buffers, all float64: a step of 1e-9 would be lost in float32.
+    What learning changes are its buffers, all float64: a step of 1e-9 would be lost in float32. The values of a tensor that is
+    assigned to one of them are copied.
 
     - ``q_table``, of shape (n_states, n_actions)
     - ``mu``, of shape (1,): the scalar step size of the next update
@@ -65,6 +66,17 @@ class TabularQPolicy(BasePolicy):
         self.n_actions = count_actions(action_space)
         self.declare({"q_table": (self.n_states, self.n_actions)}, initial_q)
         self.register_buffer("mu", th.full((1,), float(lr_schedule(1)), dtype=th.float64))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Copy a tensor that is assigned to a buffer: a training works in the buffer's memory, and would not see another."""
+        buffer = self.__dict__.get("_buffers", {}).get(name)
+        if buffer is None:
+            super().__setattr__(name, value)
+        elif isinstance(value, th.Tensor) and value.shape == buffer.shape:
+            buffer.copy_(value)
+        else:
+            given = f"one of shape {tuple(value.shape)}" if isinstance(value, th.Tensor) else repr(value)
+            raise ValueError(f"`{name}` must be given a tensor of shape {tuple(buffer.shape)}, but got {given}.")
 
     @property
     def n_states(self) -> int:

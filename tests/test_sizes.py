@@ -144,13 +144,13 @@ def test_more_environments_than_there_are() -> None:
 )
 def test_another_memory(kind: Any, tensor: th.Tensor) -> None:
     model = learned(kind=kind, method="bakf")
-    setattr(model.policy, f"memory_{model.policy.memory_names()[0]}", tensor)
+    model.policy.register_buffer(f"memory_{model.policy.memory_names()[0]}", tensor)
     refuses(model, r"`memory_\w+` must be a contiguous tensor of float64 and of shape \(1, 16, 4\)")
 
 
 def test_another_table_of_masks() -> None:
     model = learned("Taxi-v4", kind=LeanVecEnv, use_masking=True)
-    model.policy.allowed = th.ones((500, 2), dtype=th.float64)
+    model.policy.register_buffer("allowed", th.ones((500, 2), dtype=th.float64))
     refuses(model, r"`allowed` must be a contiguous tensor of float64 and of shape \(500, 6\)")
 
 
@@ -325,7 +325,7 @@ def share_policy(first: TabularQ, second: TabularQ) -> None:
 
 
 def share_table(first: TabularQ, second: TabularQ) -> None:
-    second.policy.q_table = first.policy.q_table
+    second.policy.register_buffer("q_table", first.policy.q_table)
 
 
 def share_environment(first: TabularQ, second: TabularQ) -> None:

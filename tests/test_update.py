@@ -8,6 +8,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper
@@ -134,12 +135,45 @@ class TestPolicy:
         assert (other.q_table.numpy() != 1.0).any()
         assert model.mu == other.mu.item() == 0.5
 
+    @pytest.mark.parametrize("compiled", [False, True])
+    def test_a_table_that_a_callback_assigns_is_learned_into(self, compiled):
+        """As NumPy's view of it is: both are the table that learning goes on with."""
+
+        def assign_tensor(model):
+            model.policy.q_table = th.full((16, 4), 3.0)  # of float32, which PyTorch makes where nothing is said
+
+        def assign_array(model):
+            model.q_table = np.full((16, 4), 3.0)
+
+        tables = []
+        for assign in (assign_tensor, assign_array):
+
+            def callback(variables, _, assign=assign):
+                model = variables["self"]
+                if model.num_timesteps == 400:
+                    assign(model)
+                return True
+
+            env = make_vec_env(LAKE, vec_env_cls=CompiledVecEnv if compiled else LeanVecEnv)
+            model = TabularQ("MlpPolicy", env, seed=0, learning_rate=0.5, callback_interval=100 if compiled else None)
+            tables.append(model.learn(1000, callback).q_table.copy())
+        np.testing.assert_array_equal(*tables)
+        assert ((tables[0] < 3.0) & (tables[0] > 0.0)).sum() > 10  # γ < 1 shrinks what was assigned
+        assert (tables[0] == 3.0).any()  # what was not visited again is as it was assigned
+
+    @pytest.mark.parametrize("value", [th.zeros(16, 3), None, np.zeros((16, 4))])
+    def test_what_is_no_tensor_of_the_tables_shape_cannot_be_assigned(self, value):
+        model = TabularQ("MlpPolicy", LAKE, initial_q=1.0)
+        with pytest.raises(ValueError, match=r"`q_table` must be given a tensor of shape \(16, 4\), but got "):
+            model.policy.q_table = value
+        assert (model.q_table == 1.0).all()
+
     @pytest.mark.parametrize(
         "change", [lambda table: table.float(), lambda table: table[:8], lambda table: table.t().contiguous().t()]
     )
     def test_a_table_of_another_kind_is_refused(self, change):
         model = TabularQ("MlpPolicy", LAKE, seed=0)
-        model.policy.q_table = change(model.policy.q_table)
+        model.policy.register_buffer("q_table", change(model.policy.q_table))
         with pytest.raises(ValueError, match=r"`q_table` must be a contiguous tensor of float64 and of shape \(16, 4\)"):
             model.learn(10)
         assert model.num_timesteps == 0
