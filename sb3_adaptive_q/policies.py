@@ -70,10 +70,10 @@ class TabularQPolicy(BasePolicy):
     def __setattr__(self, name: str, value: Any) -> None:
         """Copy a tensor that is assigned to a buffer: a training works in the buffer's memory, and would not see another."""
         buffer = self.__dict__.get("_buffers", {}).get(name)
-        if buffer is None:
+        if buffer is None or buffer.dtype != th.float64:  # no training works in a buffer of another type
             super().__setattr__(name, value)
         elif isinstance(value, th.Tensor) and value.shape == buffer.shape:
-            buffer.copy_(value)
+            buffer.copy_(value.detach().clone())  # which may be a view of the buffer itself
         else:
             given = f"one of shape {tuple(value.shape)}" if isinstance(value, th.Tensor) else repr(value)
             raise ValueError(f"`{name}` must be given a tensor of shape {tuple(buffer.shape)}, but got {given}.")

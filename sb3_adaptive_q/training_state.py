@@ -38,7 +38,7 @@ class TrainingState:
         return {"record": self.record.copy()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        self.record = state["record"].copy()  # pickle may hand over an array that is read-only
         self._view()
 
     def forget_updates(self) -> None:

@@ -40,6 +40,17 @@ def test_a_copied_model_learns_on_as_the_original(vec_env_cls, duplicate):
     assert twin.mu == model.mu
 
 
+def test_a_model_from_read_only_memory_learns_on():
+    """Programs that share memory between processes hand pickle such buffers."""
+    model = TabularQ("MlpPolicy", LAKE, seed=0, initial_q=1.0).learn(300)
+    buffers: list[pickle.PickleBuffer] = []
+    data = pickle.dumps(model.training, protocol=5, buffer_callback=buffers.append)
+    training = pickle.loads(data, buffers=[bytes(each.raw()) for each in buffers])
+    assert buffers and training.as_data() == model.training.as_data()
+    training.fields.num_timesteps += 1
+    assert training.record["num_timesteps"] == 301 and model.num_timesteps == 300
+
+
 def test_a_lean_vec_env_can_be_pickled():
     env = LeanVecEnv([lambda: __import__("gymnasium").make(LAKE)])
     assert pickle.loads(pickle.dumps(env)).reset().shape == (1,)

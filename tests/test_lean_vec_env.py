@@ -343,6 +343,27 @@ class TestChangedAfterwards:
             env.reset()
         step_side_by_side(ours, theirs, 201)
 
+    def test_the_step_of_a_wrapper_that_is_replaced_within_an_episode(self):
+        """The environment makes as many steps as it is asked for, and the new function counts once the episode has ended."""
+        env = LeanVecEnv([lambda: Monitor(gym.make("Taxi-v4", max_episode_steps=5))])
+        env.seed(3)
+        env.reset()
+        env.step(np.array([0]))
+        patch(env.envs[0].env.env)
+        patch(env.envs[0])
+        rewards = [env.step(np.array([0]))[1].item() for _ in range(6)]
+        assert rewards == [-1.0] * 4 + [-100.0] * 2
+
+    def test_the_step_of_another_wrapper_of_the_same_class(self):
+        """The outer limit is gone round: so the inner one, of 4 steps, ends the episodes."""
+        made = []
+        for cls in (LeanVecEnv, DummyVecEnv):
+            limits = gym.wrappers.TimeLimit(gym.wrappers.TimeLimit(gym.make("Taxi-v4").unwrapped, 4), 2)
+            limits.step = limits.env.step  # type: ignore[method-assign]
+            made.append(cls([lambda limits=limits: Monitor(limits)]))
+        step_side_by_side(*made, 20)
+        assert [made[0].step(np.array([0]))[2].item() for _ in range(4)].count(True) == 1
+
     def test_the_observation_of_a_discretisation(self):
         ours, theirs = (cls([lambda: Monitor(discretised(cart_pole()))]) for cls in (LeanVecEnv, DummyVecEnv))
         for env in (ours, theirs):

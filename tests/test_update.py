@@ -161,6 +161,22 @@ class TestPolicy:
         assert ((tables[0] < 3.0) & (tables[0] > 0.0)).sum() > 10  # γ < 1 shrinks what was assigned
         assert (tables[0] == 3.0).any()  # what was not visited again is as it was assigned
 
+    def test_a_table_that_is_a_view_of_itself_or_has_a_gradient(self):
+        model = TabularQ("MlpPolicy", LAKE)
+        model.policy.q_table = th.arange(64.0, requires_grad=True).reshape(16, 4)
+        model.policy.q_table = model.policy.q_table.flip(1)
+        np.testing.assert_array_equal(model.q_table[0], [3.0, 2.0, 1.0, 0.0])
+        model.policy.q_table = model.policy.q_table[:1].expand(16, 4)
+        np.testing.assert_array_equal(copy.deepcopy(model).q_table, np.tile([3.0, 2.0, 1.0, 0.0], (16, 1)))
+
+    def test_a_table_of_float32_can_be_replaced(self):
+        model = TabularQ("MlpPolicy", LAKE, seed=0)
+        model.policy.float()
+        with pytest.raises(ValueError, match="`q_table` must be a contiguous tensor of float64"):
+            model.learn(10)
+        model.policy.q_table, model.policy.mu = th.ones((16, 4), dtype=th.float64), th.zeros(1, dtype=th.float64)
+        assert (model.learn(500).q_table < 1.0).any()
+
     @pytest.mark.parametrize("value", [th.zeros(16, 3), None, np.zeros((16, 4))])
     def test_what_is_no_tensor_of_the_tables_shape_cannot_be_assigned(self, value):
         model = TabularQ("MlpPolicy", LAKE, initial_q=1.0)

@@ -61,10 +61,14 @@ def is_patched(wrapper: gym.Env) -> bool:
     :param wrapper: a wrapper of one of the kinds that are peeled off
     :return: whether its ``step``, ``reset`` or ``observation`` was replaced on this object
     """
+    return any(_is_replaced(wrapper, name) for name in ("step", "reset", "observation") if hasattr(type(wrapper), name))
+
+
+def _is_replaced(wrapper: gym.Env, name: str) -> bool:
     # Not by `vars(wrapper)`: CPython 3.11 reads an object's attributes more slowly after that
-    kind = type(wrapper)
-    methods = [name for name in ("step", "reset", "observation") if hasattr(kind, name)]
-    return any(getattr(getattr(wrapper, name), "__func__", None) is not getattr(kind, name) for name in methods)
+    method = getattr(wrapper, name)
+    is_own = getattr(method, "__func__", None) is getattr(type(wrapper), name) and method.__self__ is wrapper
+    return not is_own
 
 
 def _is_exactly(env: gym.Env, kind: type) -> bool:
@@ -93,9 +97,11 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
         function steps nothing and returns ``None``. Make a new function then
     """
     monitor, discretizer, limit, checked, inner = peel(env)
-    outermost, checks_left, is_first_step = env, CHECKED_STEPS, True
+    outermost, is_first_step, checks_left = env, True, 0 if checked is inner else CHECKED_STEPS
     wrappers = _wrappers_around(inner, env)
     own_steps = [wrapper.step for wrapper in wrappers]
+    # Those of now, though others may replace them before the episode ends
+    checked_step, monitor_step = checked.step, monitor and monitor.step
     first, second, third, fourth, fifth, sixth = wrappers + [_NO_WRAPPER] * (MOST_WRAPPERS - len(wrappers))
     in_first, in_second, in_third, in_fourth, in_fifth, in_sixth = (
         wrapper.env for wrapper in (first, second, third, fourth, fifth, sixth)
@@ -116,7 +122,7 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
         ):
             return None
         if checks_left:
-            outcome = checked.step(action)
+            outcome = checked_step(action)
             checks_left -= 1
         else:
             outcome = inner.step(action)
@@ -131,7 +137,7 @@ def layered_step(env: gym.Env) -> Callable[[gym.Env, Any], Step | None]:
             if monitor is None:
                 float(reward)  # NumPy would make a NaN of None
             elif is_first_step or monitor.needs_reset:
-                return _finish_episode(monitor, action, (observation, reward, terminated, truncated, info))
+                return _finish_episode(monitor, monitor_step, action, (observation, reward, terminated, truncated, info))
             else:
                 monitor.rewards.append(float(reward))
                 monitor.total_steps += 1
@@ -152,11 +158,11 @@ def _wrappers_around(inner: gym.Env, env: Any) -> list[Any]:
     return found
 
 
-def _finish_episode(monitor: Monitor, action: Any, outcome: Step) -> Step:
+def _finish_episode(monitor: Monitor, monitor_step: Any, action: Any, outcome: Step) -> Step:
     env = monitor.env
     monitor.env = _Outcome(outcome)  # type: ignore[assignment]
     try:
-        return monitor.step(action)
+        return monitor_step(action)
     finally:
         monitor.env = env
 

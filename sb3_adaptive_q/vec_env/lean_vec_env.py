@@ -38,7 +38,7 @@ class LeanVecEnv(DummyVecEnv):
     environment changes a dict after it has returned it.
 
     An environment in ``envs`` or a wrapper inside it may be replaced at any time: the next step uses the new one. A function
-    that replaces the ``step`` of a wrapper is used from the next episode on.
+    that replaces the ``step`` of a wrapper is used after the next :meth:`reset`, or once the running episode has ended.
 
     :param env_fns: functions that each make a new environment
     :raises ValueError: if two of them return the same environment; in ``step`` and ``reset``, if an environment returns
