@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from sb3_adaptive_q.experiments.drawing import MARKERS, line_style
 from sb3_adaptive_q.experiments.league.analysis import Places, Scores, Sensitivity, Standing
@@ -142,15 +143,14 @@ def environments_figure(track: Track, scores: Scores, rows: Sequence[Standing]) 
     labels = [rule.label for rule in track.contestants]
     chosen = [labels.index(label) for label in shown(rows)]
     draws = _draws(scores.curves.shape[2])
-    figure, axes = _panels([task.name for task in track.tasks], "score (mean)")
+    figure, axes = _panels([task.name for task in track.tasks], "steps", "score (mean)")
     for k, axis in enumerate(axes):
         x = np.arange(1, len(scores.curves) + 1) * track.tasks[k].steps / len(scores.curves)
         for i, rule in enumerate(chosen):
             runs, style = scores.curves[:, rule, :, k].T, line_style(i)
             axis.plot(x, runs.mean(axis=0), linewidth=1.2, label=labels[rule] if k == 0 else None, **style)
             axis.fill_between(x, *band(draws @ runs), color=style["color"], alpha=0.15, linewidth=0)
-        axis.ticklabel_format(axis="x", style="sci", scilimits=(0, 4))
-    figure.supxlabel("steps", fontsize="small")
+        axis.xaxis.set_major_formatter(EngFormatter())
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize="small", handlelength=3.0)
     return figure
 
@@ -234,7 +234,7 @@ def sensitivity_figure(track: Track, rule: int, tuning: Places, scale: Sequence[
     """
     contestant = track.contestants[rule]
     first, *others = free_parameters(contestant)
-    figure, axes = _panels([task.name for task in track.tasks], "score (mean of the tuning runs)")
+    figure, axes = _panels([task.name for task in track.tasks], first, "score (mean of the tuning runs)")
     x = np.array([each[first] for each in contestant.settings], float)
     lines = [tuple(each[name] for name in others) for each in contestant.settings]
     for k, axis in enumerate(axes):
@@ -247,7 +247,6 @@ def sensitivity_figure(track: Track, rule: int, tuning: Places, scale: Sequence[
             axis.fill_between(x[of_line], *band(draws @ runs[of_line].T), color=style["color"], alpha=0.15, linewidth=0)
         _set_log_axis(axis, x)
     figure.suptitle(contestant.label, fontsize="medium")
-    figure.supxlabel(first, fontsize="small")
     if others:
         figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize="small")
     return figure
@@ -255,6 +254,8 @@ def sensitivity_figure(track: Track, rule: int, tuning: Places, scale: Sequence[
 
 def _set_log_axis(axis: Axes, x: np.ndarray) -> None:
     magnitudes = np.abs(x[x != 0.0])
+    if (x > 0.0).all() and x.max() < 10.0 * x.min():
+        return  # within a decade a linear axis has the plainer numbers
     if (x < 0.0).any():
         axis.set_xscale("symlog", linthresh=magnitudes.min())
     elif (x == 0.0).any():
@@ -269,7 +270,7 @@ def _draws(runs: int) -> np.ndarray:
     return generator.multinomial(runs, np.full(runs, 1.0 / runs), size=BAND_RESAMPLES) / runs
 
 
-def _panels(titles: Sequence[str], ylabel: str) -> tuple[Figure, list[Axes]]:
+def _panels(titles: Sequence[str], xlabel: str, ylabel: str) -> tuple[Figure, list[Axes]]:
     columns = min(4, len(titles))
     rows = -(-len(titles) // columns)
     figure = Figure(figsize=(2.9 * columns, 2.1 * rows + 0.8), layout="constrained")
@@ -279,7 +280,9 @@ def _panels(titles: Sequence[str], ylabel: str) -> tuple[Figure, list[Axes]]:
         axis.set_axis_off()
     for axis, title in zip(axes, titles, strict=False):
         axis.set_title(title, loc="left", fontsize="small")
-        axis.tick_params(labelsize="x-small")
+        axis.tick_params(which="both", labelsize="x-small")
         tidy(axis)
+    for axis in axes[: len(titles)][-columns:]:  # below them are no panels: a label of the whole figure would hit the legend
+        axis.set_xlabel(xlabel, fontsize="small")
     figure.supylabel(ylabel, fontsize="small")
     return figure, axes[: len(titles)]
