@@ -11,18 +11,23 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
 import sb3_adaptive_q
 from sb3_adaptive_q.experiments import Execution
+from sb3_adaptive_q.experiments.drawing import paint
 from sb3_adaptive_q.experiments.league.command import main
-from sb3_adaptive_q.experiments.league.figures import number_points
+from sb3_adaptive_q.experiments.league.figures import number_points, wins_figure
 from sb3_adaptive_q.experiments.league.league import run_league
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings
 from sb3_adaptive_q.experiments.page import html_page
+from sb3_adaptive_q.experiments.statistics import Estimate
 
 PROJECT = Path(sb3_adaptive_q.__file__).resolve().parent.parent
 OWN = "tests.helpers.own_rules:"
@@ -222,3 +227,12 @@ def test_points_are_numbered_where_they_are_drawn() -> None:
     figure.legend(loc="outside right center")
     number_points(figure, axis, points)
     assert [each.get_text() for each in axis.texts] == ["1, 2"]
+
+
+@pytest.mark.parametrize("n_rules", [2, 5, 9, 26])
+def test_nothing_of_the_matrix_of_wins_is_cut_off(n_rules: int) -> None:
+    labels = (["search_then_converge", "unbiased_constant"] * 13)[:n_rules]
+    rows: Any = [SimpleNamespace(label=label) for label in labels]
+    picture = np.asarray(paint(wins_figure(rows, labels, [[Estimate(0.5, 0.4, 0.6)] * n_rules] * n_rules)))
+    for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+        assert (edge == 255).all()

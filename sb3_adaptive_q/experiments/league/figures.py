@@ -195,21 +195,21 @@ def wins_figure(rows: Sequence[Standing], labels: Sequence[str], wins: Sequence[
     :return: the figure
     """
     order = [labels.index(row.label) for row in rows]
-    values = np.array([[wins[i][j].value for j in order] for i in order])
+    values = 100.0 * np.array([[wins[i][j].value for j in order] for i in order])
     side = 2.0 + 0.42 * len(order)
-    figure = Figure(figsize=(side + 1.0, side), layout="constrained")
+    figure = Figure(figsize=(max(side + 1.0, 6.0), side), layout="constrained")  # the title is 5 inches wide
     axis = figure.subplots()
-    image = axis.imshow(values, cmap="cividis", vmin=0.0, vmax=1.0)
+    image = axis.imshow(values, cmap="cividis", vmin=0.0, vmax=100.0)
     for (row, column), value in np.ndenumerate(values):
         low, high = wins[order[row]][order[column]][1:]
         mark = "" if low <= 0.5 <= high else "*"
-        color = "black" if value > 0.55 else "white"
-        axis.text(column, row, f"{100 * value:.0f}{mark}", ha="center", va="center", color=color, fontsize="x-small")
+        color = "black" if value > 55.0 else "white"
+        axis.text(column, row, f"{value:.0f}{mark}", ha="center", va="center", color=color, fontsize="x-small")
     names = [labels[i] for i in order]
     axis.set_xticks(range(len(names)), names, rotation=90, fontsize="small")
     axis.set_yticks(range(len(names)), names, fontsize="small")
     title = "How often a run of the row beats one of the column, in %\n(* 95 % interval without 50 %)"
-    axis.set_title(title, fontsize="medium")
+    figure.suptitle(title, fontsize="medium")
     figure.colorbar(image, shrink=0.5)
     return figure
 
