@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from sb3_adaptive_q.environment_state import read_environments
-from sb3_adaptive_q.rollouts.step_rollout import RolloutState
+from sb3_adaptive_q.rollouts.step_rollout import RolloutState, TransitionEntries
 from sb3_adaptive_q.vec_env.tabular_dynamics import LARGEST_REWARD
 
 
@@ -77,7 +77,7 @@ def check_actions(actions: Any, n_envs: int, n_actions: int) -> np.ndarray | Non
     return np.array(actions, dtype=np.int64)
 
 
-def _check_transition(entry: Any, n_states: int, n_actions: int) -> tuple[int, int, float, int, bool, bool, int]:
+def _check_transition(entry: Any, n_states: int, n_actions: int) -> TransitionEntries:
     state, action, reward, next_state, terminated, done, start_state = entry
     rows = all(_is_below(row, n_states) for row in (state, next_state, start_state))
     if not (rows and _is_below(action, n_actions) and abs(reward) <= LARGEST_REWARD):

@@ -38,7 +38,6 @@ class StepSizeInForce(AlgorithmDeclaration):
 
     _exploration_rate = field_of_state("epsilon", "The exploration rate in force.")
     _mu = field_of_state("mu", "The scalar step size in force.")
-    _progress = field_of_state("progress", "The part of the training that is done.")
 
     @property
     def mu(self) -> float:

@@ -15,7 +15,7 @@ from sb3_adaptive_q.compiled.jit import CannotCompile, as_python, is_disabled, m
 #: A transition with the types that machine code takes
 _EXAMPLE = (0, 0, 0.0, 0, False, False, 0)
 
-
+#: The entries of a :class:`sb3_adaptive_q.algorithms.td_update.Transition`
 TransitionEntries = tuple[int, int, float, int, bool, bool, int]
 
 
@@ -23,14 +23,13 @@ class RolloutState(NamedTuple):
     """
     The state of a rollout between two steps.
 
-    :param transitions: for each environment the transition that was not learned from yet, with the entries of a
-        :class:`sb3_adaptive_q.algorithms.td_update.Transition`; empty if there are none
+    :param transitions: for each environment the transition that was not learned from yet; empty if there are none
     :param infos: for each of these, what the log needs of the episode that it ended
     :param returns: for each environment, the rewards of the running episode
     :param lengths: for each environment, the number of steps of the running episode
     """
 
-    transitions: list[tuple[int, int, float, int, bool, bool, int]]
+    transitions: list[TransitionEntries]
     infos: list[dict[str, Any]]
     returns: list[float]
     lengths: list[int]
@@ -128,8 +127,7 @@ class StepRollout:
         """Learn from the transitions that were made last, and choose the next actions."""
         if self.model.choices is not self.choices:
             self.take_choices()
-        if True in self.dones:
-            self.note_episodes()
+        self.note_episodes()
         update, states, actions = self._update, self.states, self.actions
         tables, memory, learner, draws, considered = self.tables, self.memory, self.learner, self.draws, self.considered
         for i, transition in enumerate(self.transitions):
@@ -185,8 +183,9 @@ class StepRollout:
 
     def note_episodes(self) -> None:
         """Give the log the episodes that the last step ended."""
-        ended = [info for info, done in zip(self.infos, self.dones, strict=True) if done]
-        self.model._update_info_buffer(ended, [True] * len(ended))
+        if True in self.dones:
+            ended = [info for info, done in zip(self.infos, self.dones, strict=True) if done]
+            self.model._update_info_buffer(ended, [True] * len(ended))
 
     def refuse(self, state: int, action: int) -> NoReturn:
         """

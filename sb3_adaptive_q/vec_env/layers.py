@@ -18,6 +18,8 @@ Step = tuple[Any, Any, bool, bool, dict[str, Any]]
 CHECKED_STEPS = 2
 #: At most this many wrappers with gymnasium's checks are looked through
 MOST_CHECKERS = 3
+#: The Monitor, a discretisation, the time limit, and gymnasium's checks
+MOST_WRAPPERS = 3 + MOST_CHECKERS
 
 
 class Layers(NamedTuple):
@@ -174,8 +176,6 @@ class _NoWrapper:
         self.env = None
 
 
-#: The Monitor, a discretisation, the time limit, and gymnasium's checks
-MOST_WRAPPERS = 3 + MOST_CHECKERS
 _NO_WRAPPER = _NoWrapper()
 
 

@@ -275,14 +275,15 @@ def _panels(titles: Sequence[str], xlabel: str, ylabel: str) -> tuple[Figure, li
     rows = -(-len(titles) // columns)
     figure = Figure(figsize=(2.9 * columns, 2.1 * rows + 0.8), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
-    axes = [grid[place] for place in product(range(rows), range(columns))]
-    for axis in axes[len(titles) :]:
+    places = [grid[place] for place in product(range(rows), range(columns))]
+    axes, unused = places[: len(titles)], places[len(titles) :]
+    for axis in unused:
         axis.set_axis_off()
-    for axis, title in zip(axes, titles, strict=False):
+    for axis, title in zip(axes, titles, strict=True):
         axis.set_title(title, loc="left", fontsize="small")
         axis.tick_params(which="both", labelsize="x-small")
         tidy(axis)
-    for axis in axes[: len(titles)][-columns:]:  # below them are no panels: a label of the whole figure would hit the legend
+    for axis in axes[-columns:]:  # below them are no panels: a label of the whole figure would hit the legend
         axis.set_xlabel(xlabel, fontsize="small")
     figure.supylabel(ylabel, fontsize="small")
-    return figure, axes[: len(titles)]
+    return figure, axes
