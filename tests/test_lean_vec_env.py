@@ -85,6 +85,11 @@ def step_side_by_side(ours: VecEnv, theirs: VecEnv, n_steps: int) -> None:
     assert ours.seed(7) == theirs.seed(7)
     assert_same(ours.reset(), theirs.reset())
     assert_same(ours.reset_infos, theirs.reset_infos)
+    go_on_side_by_side(ours, theirs, n_steps)
+
+
+def go_on_side_by_side(ours: VecEnv, theirs: VecEnv, n_steps: int) -> None:
+    """The same, from where the two are."""
     theirs.action_space.seed(0)
     n_ended = 0
     for _ in range(n_steps):
@@ -316,9 +321,11 @@ class TestChangedAfterwards:
     @pytest.mark.parametrize("name", CHANGES)
     def test_it_counts_from_the_next_step_on(self, name, steps_before):
         ours, theirs = taxis_after(steps_before)
-        for env in (ours, theirs):
-            CHANGES[name](env)
-        step_side_by_side(ours, theirs, 201)
+        for vec_env in (ours, theirs):
+            CHANGES[name](vec_env)
+            for env in vec_env.envs:  # which may be new; a reset of the VecEnv would look at all of them again
+                env.reset(seed=7)
+        go_on_side_by_side(ours, theirs, 201)
 
     @pytest.mark.parametrize("steps_before", [0, 200], ids=["first episode", "second episode"])
     @pytest.mark.parametrize("name", PATCHES)
@@ -327,7 +334,7 @@ class TestChangedAfterwards:
         for env in (ours, theirs):
             assert steps_before == 0 or env.buf_dones.all()
             PATCHES[name](env)
-        step_side_by_side(ours, theirs, 201)
+        go_on_side_by_side(ours, theirs, 201)
 
     @pytest.mark.parametrize("name", PATCHES)
     def test_the_step_of_a_wrapper_counts_from_a_reset(self, name):
@@ -366,7 +373,7 @@ class TestChangedAfterwards:
             env.reset()
             env.step(np.array([0]))
             env.envs[0].env.observation = lambda observation: int(observation[0] > 0.0)
-        step_side_by_side(ours, theirs, 50)
+        go_on_side_by_side(ours, theirs, 50)
         assert {int(ours.step(np.array([1]))[0][0]) for _ in range(20)} <= {0, 1}
 
     def test_a_patch_that_is_there_from_the_start(self):

@@ -168,6 +168,10 @@ class TestPolicy:
         np.testing.assert_array_equal(model.q_table[0], [3.0, 2.0, 1.0, 0.0])
         model.policy.q_table = model.policy.q_table[:1].expand(16, 4)
         np.testing.assert_array_equal(copy.deepcopy(model).q_table, np.tile([3.0, 2.0, 1.0, 0.0], (16, 1)))
+        transposed = model.policy.q_table.reshape(4, 16).t()
+        expected = transposed.clone()
+        model.policy.q_table = transposed
+        assert th.equal(model.policy.q_table, expected)
 
     def test_a_table_of_float32_can_be_replaced(self):
         model = TabularQ("MlpPolicy", LAKE, seed=0)

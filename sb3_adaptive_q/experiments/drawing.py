@@ -103,7 +103,5 @@ def _lay_out(figure: Figure) -> None:
     figure.set_dpi(RESOLUTION)
     layout = figure.get_layout_engine()
     if layout is not None:
-        # Panels of a fixed shape shrink when they are first laid out, and their titles and labels move
-        for _ in range(2 if any(axis.get_aspect() != "auto" for axis in figure.axes) else 1):
-            layout.execute(figure)
+        layout.execute(figure)
         figure.set_layout_engine(None)
