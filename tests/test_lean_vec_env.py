@@ -327,6 +327,23 @@ class TestChangedAfterwards:
                 env.reset(seed=7)
         go_on_side_by_side(ours, theirs, 201)
 
+    @pytest.mark.parametrize("depth", range(6))
+    def test_a_wrapper_at_any_depth_counts_from_the_next_step_on(self, depth):
+        def make():
+            checked = gym.wrappers.OrderEnforcing(gym.make("CartPole-v1").env)  # type: ignore[attr-defined]
+            return Monitor(discretised(gym.wrappers.TimeLimit(checked, 30)))
+
+        ours, theirs = (cls([make]) for cls in (LeanVecEnv, DummyVecEnv))
+        for vec_env in (ours, theirs):
+            vec_env.seed(3)
+            vec_env.reset()
+            vec_env.step(np.array([0]))
+            wrapper = vec_env.envs[0]
+            for _ in range(depth):
+                wrapper = wrapper.env
+            wrapper.env = Halved(wrapper.env)
+        go_on_side_by_side(ours, theirs, 50)
+
     @pytest.mark.parametrize("steps_before", [0, 200], ids=["first episode", "second episode"])
     @pytest.mark.parametrize("name", PATCHES)
     def test_the_step_of_a_wrapper_counts_from_the_start_of_an_episode(self, name, steps_before):
