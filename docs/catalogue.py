@@ -59,7 +59,7 @@ def write(folder: Path) -> None:
     for name in STEP_SIZES:
         write_picture(folder / f"{name}.svg", problems, courses[name])
     sections = [section(each) for each in STEP_SIZES.values()]
-    _write_if_new(folder / "step_sizes.md", "\n\n".join([error_table(problems, courses), *sections]) + "\n")
+    write_if_new(folder / "step_sizes.md", "\n\n".join([error_table(problems, courses), *sections]) + "\n")
 
 
 def draw_targets(variance: float) -> Problem:
@@ -121,11 +121,11 @@ def section(each: StepSize) -> str:
     starts = each.start_values({name: parameter.default for name, parameter in each.parameters.items()})
     lines = [f"({each.name.replace('_', '-')})=", f"### {each.name}", "", " ".join((text.description or "").split()), ""]
     lines += ["$$", to_latex(each.formula, tuple(each.parameters)), "$$", "", f"Source: {each.source}.", ""]
-    lines += list(_table(("parameter", "default", "range", "meaning"), _parameter_rows(each)))
+    lines += list(table(("parameter", "default", "range", "meaning"), _parameter_rows(each)))
     memory = [(f"`{name}`", f"{start:.4g}", " ".join(meanings[name].split())) for name, start in starts.items()]
     if each.counts:
         memory.append(("`visits`", "0", "n, the number of updates"))
-    lines += list(_table(("memory of each cell", "starts from", "meaning"), memory))
+    lines += list(table(("memory of each cell", "starts from", "meaning"), memory))
     lines += [f"![μ and the estimate with {each.name}, on the noisy and on the moving problem](generated/{each.name}.svg)"]
     return "\n".join(lines)
 
@@ -137,7 +137,12 @@ def _parameter_rows(each: StepSize) -> list[tuple[str, ...]]:
     ]
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> Iterator[str]:
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> Iterator[str]:
+    """
+    :param head: the titles of the columns
+    :param rows: the cells
+    :return: the lines of a Markdown table and an empty one, or nothing where there are no rows
+    """
     if rows:
         for row in (head, ("---",) * len(head), *rows):
             yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
@@ -178,6 +183,10 @@ def _draw_course(axes: np.ndarray, problem: Problem, course: Course) -> None:
         tidy(ax)
 
 
-def _write_if_new(path: Path, text: str) -> None:
+def write_if_new(path: Path, text: str) -> None:
+    """
+    :param path: of the file
+    :param text: what it shall hold; where it does already, the file keeps its time, and Sphinx does not read it again
+    """
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")

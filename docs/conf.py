@@ -8,6 +8,7 @@ DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS), str(DOCS.parent)]
 
 import catalogue  # noqa: E402
+import environment_list  # noqa: E402
 
 import sb3_adaptive_q  # noqa: E402
 
@@ -43,8 +44,9 @@ nitpick_ignore_regex = [
 
 def setup(app: Any) -> None:
     """
-    Let the catalogue of step sizes be written before the pages are read.
+    Let the lists of step sizes and environments be written before the pages are read.
 
     :param app: Sphinx
     """
-    app.connect("builder-inited", lambda _app: catalogue.write(DOCS / "generated"))
+    for each in (catalogue, environment_list):
+        app.connect("builder-inited", lambda _app, each=each: each.write(DOCS / "generated"))

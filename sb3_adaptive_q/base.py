@@ -63,7 +63,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
     :param method: the number of the paper's method to install, 1 to 8, or the name of a step size of the literature;
         ``None`` for ``learning_rate``. A method handed to ``learn`` as a callback replaces it
     :param method_kwargs: what shall differ from the method's defaults, as in :func:`sb3_adaptive_q.method`
-    :param exploration: ``"epsilon_greedy"``, or ``"boltzmann"``, whose temperature the exploration rate then is
+    :param exploration: ``"epsilon_greedy"``, or ``"boltzmann"``: the exploration rate is then its temperature
     :param ties: which of several best actions is taken while learning: ``"random"`` for any, ``"first"`` for the first.
         Targets and ``predict(deterministic=True)`` always take the first
     :param exploration_schedule: how the exploration rate falls: ``"linear"``, ``"exponential"``, ``"constant"``, or a plain
@@ -79,7 +79,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         every step
     :param stats_window_size: the episodes over which the logged means are taken
     :param tensorboard_log: the folder for TensorBoard's files; ``None`` for none
-    :param policy_kwargs: further arguments of the policy
+    :param policy_kwargs: further arguments of a policy class of your own; the table takes none
     :param verbose: 0 for no output, 1 for the log and what is being wrapped, 2 for debugging
     :param seed: of the agent's random numbers and the environment
     :param device: ``"auto"`` and ``"cpu"`` mean the CPU: the table is worked on in place there
@@ -88,6 +88,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         behaviour and targets. A mask must be a function of the state. Compiled environments give none. :meth:`predict`
         keeps to the masks that were seen
     :raises ValueError: if an argument lies outside its range, or the environment's spaces are not supported
+    :raises MemoryError: if the table would not fit into the memory
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": MlpPolicy}
@@ -205,16 +206,17 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         """
         Learn until ``total_timesteps`` or, where the constructor had ``total_episodes``, that many episodes are done.
 
-        :param total_timesteps: the environment steps to learn from; with n environments, a multiple of n that reaches it
+        :param total_timesteps: the environment steps to learn from, rounded up to a multiple of the number of environments
         :param callback: called after every step, before the update that it leads to
         :param log_interval: the episodes between two entries of the log; ``None`` for no log
         :param tb_log_name: the name of the run in TensorBoard; ``None`` for the names of algorithm and method
         :param reset_num_timesteps: whether to count steps and episodes, and a method's μ and memory, from the start again
         :param progress_bar: whether to show one
         :return: the model
-        :raises ValueError: if there is no environment, there are two methods among the callbacks, or a reward is not a
-            finite number. Counts, method and memory are then as before; if the environment was reset already, or callbacks
-            had begun, the next call starts a new episode
+        :raises ValueError: if an argument is out of range, there is no environment, there are two methods among the callbacks,
+            or a reward or a step size is not valid. Before the first step, counts, method and memory are then as before; if
+            the environment was reset already, or callbacks had begun, the next call starts a new episode. Later, what was
+            learned remains, and the next call starts a new episode
         :raises RuntimeError: if the model is learning already
         """
         total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)

@@ -31,7 +31,8 @@ class LearningRateCallback(BaseCallback):
     ``step`` is a :class:`sb3_adaptive_q.step_sizes.Step`, which lists what they may use. Both are compiled with Numba: write
     them with numbers only. A function that Numba does not compile runs as Python on an ordinary environment, after a warning.
 
-    :param mu_0: the scalar step size of the first update; ``None`` takes what the functions give for a step of zeros
+    :param mu_0: the scalar step size of the first update; ``None`` takes what the functions give for a
+        :class:`Step` whose numbers are all 0
     :param next_action: which action's value in the next state a rule sees: ``"same"``, Q_t(s_{t+1}, a_t);
         ``"next"``, Q_t(s_{t+1}, a_{t+1}); ``"max"``, max_a Q_t(s_{t+1}, a)
     :param reset_each_episode: whether μ starts again from ``mu_0`` with every episode (with one environment only)
@@ -48,7 +49,7 @@ class LearningRateCallback(BaseCallback):
     memory: ClassVar[Mapping[str, float]] = {}
     #: Whether the functions use ``step.count``, the number of updates of a cell
     counts: ClassVar[bool] = False
-    #: The bounds to which a step size is clipped. Without both, a step size outside [0, 1] is an error
+    #: The bounds to which a step size is clipped. Unless both are set, a step size outside [0, 1] is an error
     lower: ClassVar[float | None] = None
     upper: ClassVar[float | None] = None
     #: Whether a call at the end of each rollout, as on the compiled path, is enough for this callback
@@ -303,8 +304,9 @@ class Episodes(NamedTuple):
 
 class EpisodeSeriesCallback(BaseCallback):
     """
-    Records every finished episode, in arrays with one entry for each: ``returns``, ``lengths``, ``rates`` (μ in force at the
-    last transition) and ``epsilons``. They can be read at any time, also after an interrupt.
+    Records every episode that ends during a call of ``learn``, in arrays with one entry for each: ``returns``, ``lengths``,
+    ``rates`` (μ in force at the last transition) and ``epsilons``. They can be read at any time, also after an interrupt. The
+    next call of ``learn`` with the same callback empties them.
     """
 
     knows_rollouts: ClassVar[bool] = True

@@ -37,7 +37,8 @@ class MethodData(NamedTuple):
     :param counts: whether the step size uses ``step.count``
     :param scope: which updates share a cell of the memory, a key of ``SCOPES``
     :param bounds: the least and the largest step size
-    :param mu_0: the scalar step size to start from; ``None`` for what the functions give for a step of zeros
+    :param mu_0: the scalar step size to start from; ``None`` for what the functions give for a Step
+        whose numbers are all 0
     :param next_action: which action's value in the next state the rule sees
     :param reset_each_episode: whether μ starts again from ``mu_0`` with every episode
     """
@@ -191,15 +192,22 @@ class InstalledMethod:
         if self.data.mu_0 is not None:
             return float(self.data.mu_0)
         step = _STEP_OF_ZEROS._replace(count=1.0 if self.data.counts else 0.0)
-        if self.step_size is not None:
-            arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
-            mu: Any = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
-        else:
-            mu = self.rule(0.0, step, *self.arguments)
+        try:
+            if self.step_size is not None:
+                arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
+                mu: Any = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
+            else:
+                mu = self.rule(0.0, step, *self.arguments)
+        except ZeroDivisionError as error:
+            raise ValueError(
+                f"{self.data.owner} must give step sizes from 0 to 1, but before the first update, where all numbers of "
+                "the Step are 0, it divides by zero: please check it, pass `mu_0`, or set the class attribute `counts = True` "
+                "if it divides by `step.count`."
+            ) from error
         if not (isinstance(mu, Real) and 0.0 <= float(mu) <= 1.0):
             raise ValueError(
-                f"{self.data.owner} must give step sizes from 0 to 1, but for a step of zeros, before the first update, it "
-                f"gave {mu!r}: please check it, or pass `mu_0`."
+                f"{self.data.owner} must give step sizes from 0 to 1, but before the first update, where all numbers of "
+                f"the Step are 0, it gave {mu!r}: please check it, or pass `mu_0`."
             )
         return float(mu)
 

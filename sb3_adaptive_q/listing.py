@@ -11,8 +11,8 @@ from sb3_adaptive_q.step_sizes import Description, describe
 #: What the parameters of the paper's methods are
 MEANINGS = {
     "beta": "the step size: β1 for Method 1, β2 for Method 2",
-    "beta_1": "β1",
-    "beta_3": "β3",
+    "beta_1": "β1, the smaller end of μ",
+    "beta_3": "β3, how much larger the other end is",
     "gain": "the factor of Q(s', a) - Q(s, a): -β5 for Method 5, β5 for Method 6",
     "step": "what is added where Q(s', a') is not below Q(s, a), else subtracted: β6 for Method 7, -β6 for Method 8",
     "mu_0": "the first μ, β1 in the paper",

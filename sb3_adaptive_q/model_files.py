@@ -92,6 +92,7 @@ class SavedAsData:
         :return: the model
         :raises ValueError: if the file is damaged or of another kind, the environment has other spaces, or an argument lies
             outside its range. Nothing has changed then
+        :raises FileNotFoundError: if there is no such file
         """
         force_reset = check("force_reset", force_reset)
         saved = cls._read(path, custom_objects, print_system_info, allow_pickle)
@@ -278,9 +279,10 @@ class SavedAsData:
             needed["learning_rate"] = schedule
         for name, function in needed.items():
             if isinstance(function, MissingFunction):
+                nameless = "<" in function.path  # such as module:<lambda>
+                remedy = "no program can import: please" if nameless else "is not imported here: import it before `load`, or"
                 raise ValueError(
-                    f"The saved model has the function {function.path} as its `{name}`, which is not imported here: import "
-                    f"it before you load the model, or set `model.{name}`."
+                    f"The saved model has the function {function.path} as its `{name}`, which {remedy} set `model.{name}`."
                 )
 
 

@@ -28,7 +28,7 @@ class Prediction:
         The greedy action; with ``deterministic=False`` what the behaviour policy does, at the exploration rate in force.
 
         The action of one observation is a number of NumPy's, ``np.int64``, where other algorithms of SB3 return an array
-        without axes: gymnasium's toy-text environments look an action up in a dict, which cannot be asked for an array.
+        without axes: gymnasium's toy-text environments look the action up in a dict, and an array cannot be a key.
 
         :param observation: one observation, or several: a batch as a VecEnv gives it, or a list of observations
         :param state: handed back as it is

@@ -123,6 +123,7 @@ class Resumable(SavedAsData):
         :param progress_bar: as in ``learn``
         :return: the model
         :raises ValueError: as in ``learn``
+        :raises RuntimeError: as in ``learn``
         """
         model: Any = self
         begins_anew = self._unfinished is None

@@ -333,10 +333,10 @@ def _advice(space: spaces.Space[Any], part: str) -> str:
     if not isinstance(space, spaces.Box):
         return "wrap the environment in a `gymnasium.ObservationWrapper` that turns its observations into one of these"
     if not part:
-        return "wrap the environment in `wrappers.DiscretizeObservation`"
+        return "wrap the environment in `sb3_adaptive_q.wrappers.DiscretizeObservation`"
     return (
         "wrap the environment in a `gymnasium.ObservationWrapper` that bins this part; or, where all parts are Box, in "
-        "`gymnasium.wrappers.FlattenObservation` and then in `wrappers.DiscretizeObservation`"
+        "`gymnasium.wrappers.FlattenObservation` and then in `sb3_adaptive_q.wrappers.DiscretizeObservation`"
     )
 
 

@@ -74,8 +74,19 @@ class TestRules:
 
         with pytest.raises(ValueError, match="Forgetful must return a number in every case, but returns none"):
             TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Forgetful(mu_0=0.1))
-        with pytest.raises(ValueError, match=r"Forgetful must give step .* zeros, before the first update, it gave None"):
+        with pytest.raises(ValueError, match=r"Forgetful must give step .* the Step are 0, it gave None"):
             Forgetful()
+
+    def test_a_step_size_that_divides_by_a_count_that_it_does_not_ask_for(self):
+        class Mean(LearningRateCallback):
+            @staticmethod
+            def step_size(mu, step):
+                return 1.0 / step.count
+
+        with pytest.raises(ValueError, match=r"Mean must give .* divides by zero: .*set the class attribute `counts = True`"):
+            Mean()
+        Mean.counts = True
+        assert TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Mean()).memory["visits"].sum() == 50
 
     def test_one_that_is_a_method(self):
         class Bound(LearningRateCallback):

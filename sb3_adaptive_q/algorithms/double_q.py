@@ -65,13 +65,14 @@ UPDATES = {"max": make_double_q(best_by_own), "expected": make_double_q(expected
 
 class DoubleQ(TabularAlgorithm):
     """
-    Double Q-learning with two tables (van Hasselt, 2010, algorithm 1): a coin decides which of them is updated, and the other
-    one gives the value of the action that is best by it.
+    Double Q-learning with two tables (van Hasselt, 2010, algorithm 1): a coin decides which of them is updated. The updated
+    table chooses the best next action, and the other table gives its value.
 
     ``q_tables``, of shape (2, n_states, n_actions), are the two; ``q_table`` is their mean, which the behaviour looks at.
     Assigning ``q_table`` sets both. The memory of a step size has a leading axis of two, and a rule sees the values of the
     table that is updated. For each transition the agent draws first the coin (below 0.5 stands for the first table) and, after
-    the update, what its next action takes; at the end of an episode also what the first action of the next one takes.
+    the update, the random numbers of its next action; at the end of an episode also those of the first action of the next
+    episode.
 
     :param policy: as in :class:`sb3_adaptive_q.TabularAlgorithm`, which also has the further parameters
     :param env: as there

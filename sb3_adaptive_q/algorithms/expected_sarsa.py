@@ -30,8 +30,9 @@ class ExpectedSARSA(TabularAlgorithm):
     Expected SARSA with a table (van Seijen, van Hasselt, Whiteson and Wiering, 2009): Q(s, a) is moved towards
     r + γ Σ_a π(a|s') Q(s', a), with the behaviour policy π of the moment.
 
-    The agent draws, after each update, what its next action takes; at the end of an episode also what the first action of the
-    next one takes. Without exploration it is Q-learning. For the parameters see :class:`sb3_adaptive_q.TabularAlgorithm`.
+    After each update the agent draws the random numbers of its next action; at the end of an episode it also draws those of
+    the first action of the next episode. Without exploration it is Q-learning. For the parameters see
+    :class:`sb3_adaptive_q.TabularAlgorithm`.
     """
 
     update = staticmethod(expected_sarsa)

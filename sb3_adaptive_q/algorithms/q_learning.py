@@ -28,8 +28,8 @@ class TabularQ(TabularAlgorithm):
     """
     Q-learning with a table (Watkins, 1989; Eq. 2 of the paper).
 
-    The agent draws, after each update, what its next action takes; at the end of an episode also what the first action of the
-    next one takes. For the parameters see :class:`sb3_adaptive_q.TabularAlgorithm`.
+    After each update the agent draws the random numbers of its next action; at the end of an episode it also draws those of
+    the first action of the next episode. For the parameters see :class:`sb3_adaptive_q.TabularAlgorithm`.
     """
 
     update = staticmethod(q_learning)

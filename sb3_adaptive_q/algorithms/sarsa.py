@@ -33,8 +33,8 @@ class SARSA(TabularAlgorithm):
     SARSA with a table (Rummery and Niranjan, 1994): Q(s, a) is moved towards r + γ Q(s', a') with the action a' that is taken
     next.
 
-    The agent draws, before each update, what its next action takes; at a truncation the action is drawn too, but not taken.
-    At the end of an episode it draws, after the update, what the first action of the next one takes. A method that looks at
+    Before each update the agent draws its next action; at a truncation it draws one too, but does not take it. At the end of
+    an episode it draws the first action of the next episode, after the update. A method that looks at
     the next value with ``next_action="next"`` sees Q(s', a') of the target itself; ``"same"`` and ``"max"`` are read from the
     same table, before the update. For the parameters see :class:`sb3_adaptive_q.TabularAlgorithm`.
     """

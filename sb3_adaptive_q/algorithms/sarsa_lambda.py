@@ -80,8 +80,8 @@ class SARSALambda(TraceAlgorithm):
     With every transition all eligible pairs move: with the μ in force, or, with a method that has a step size for each entry,
     with the one of their own last visit. The memory of the method sees the one-step temporal-difference error.
 
-    The agent draws, before each update, what its next action takes; at a truncation the action is drawn too, but not taken. At
-    the end of an episode it draws, after the update, what the first action of the next one takes.
+    Before each update the agent draws its next action; at a truncation it draws one too, but does not take it. At the end of
+    an episode it draws the first action of the next episode, after the update.
 
     :param policy: as in :class:`sb3_adaptive_q.TabularAlgorithm`, which also has the further parameters
     :param env: as there

@@ -99,8 +99,8 @@ class CartPoleFrictionEnv(CartPoleEnv):
     no reward for the step that leaves the limits. The physical constants remain attributes, as in gymnasium's class.
     The limit of 200 steps comes with the registered id ``CartPoleFriction-v0``.
 
-    :param cart_friction: μ_c of Eq. 12, finite and not negative
-    :param pole_friction: μ_p of Eq. 12, finite and not negative
+    :param cart_friction: μ_c, which Eq. 12 uses as a force, in N; finite and not negative
+    :param pole_friction: μ_p of Eq. 12, in N m s; finite and not negative
     :param render_mode: ``None``, ``"human"`` or ``"rgb_array"``
     :raises ValueError: if a friction coefficient is negative or not finite
     """

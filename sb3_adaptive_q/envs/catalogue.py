@@ -12,8 +12,8 @@ class Problem(NamedTuple):
     :param env_id: for ``gymnasium.make``; the limit of steps registered with it is the problem's horizon
     :param gamma: the discount factor
     :param arguments: for ``gymnasium.make``
-    :param initial_q: of all entries of the Q table. It is not 0 where with zeros, and ties that go to the first action, only
-        the exploration would decide when the first reward is seen
+    :param initial_q: of all entries of the Q table. It is not 0 in environments where a table of zeros with ``ties="first"``
+        would leave it to exploration alone to find the first reward
     """
 
     env_id: str

@@ -27,7 +27,7 @@ class DriftingGarnetEnv(HiddenChangeEnv):
     walk of steps of ``drift``. After ``n_steps`` steps the walk goes back the way it came, and so on.
 
     :param instance: the seed of process and walk; another instance is another task
-    :param drift: standard deviation of the walk of each mean reward, a step
+    :param drift: standard deviation of the walk of each mean reward, per step
     :param noise: what every reward is above or below its mean, each half of the time
     :param n_steps: how long a walk to draw, in steps
     :param render_mode: ``None``; there is nothing to see

@@ -42,7 +42,8 @@ steps; only those of Cart Pole, which has no table, are the mean of {episodes} e
 
 {command}
 
-makes this page again in about a minute on two cores; the first time takes longer, because the machine code is made.
+This command makes this page again in about a minute on two cores. The first time takes longer, because it compiles the
+functions.
 
 {table}
 
@@ -53,6 +54,9 @@ makes this page again in about a minute on two cores; the first time takes longe
 - **Best with ε = {epsilon}**: the greedy actions of the best policy that takes a random action with the probability
   {epsilon}, the exploration rate at the end of the training. SARSA and its relatives tend to the values of this policy,
   from those of more exploration: at the cliff they keep away from the edge.
+
+Double Expected SARSA is `DoubleQ` with `target="expected"`, SARSA(0.9) is `SARSALambda` and Watkins's Q(0.9) is `QLambda`,
+both with λ = 0.9, and 4-step SARSA is `NStep`.
 
 All algorithms have the same step size, although traces and returns of many steps want a smaller one than returns of one
 step. So the table says that the algorithms work, and not which of them is best: for that, each would have to be tuned

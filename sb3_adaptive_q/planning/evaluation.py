@@ -55,7 +55,7 @@ def expected_return(source: Any, policy: Any, gamma: float = 1.0, horizon: int |
     :param gamma: the discount factor; 1 is the return as it is counted
     :param horizon: after how many steps an episode is cut off; ``None``: never
     :return: the mean over the start distribution
-    :raises ValueError: as :func:`policy_evaluation`; states that the policy never comes to play no part
+    :raises ValueError: as :func:`policy_evaluation`; states that the policy never reaches do not matter
     """
     model, rows = _under(TabularModel.of(source), policy)
     limits, values = _limits(gamma, horizon), np.zeros(model.n_states)

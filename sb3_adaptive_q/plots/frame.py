@@ -14,7 +14,7 @@ def to_frame(model: Any) -> pd.DataFrame:
     A row for each state, with these columns:
 
     - ``state``, or ``observation_0``, ``observation_1``, ... where an observation has several components; for an environment
-      under :class:`wrappers.DiscretizeObservation` the number of the cell, and ``cell_0``, ``cell_1``, ...
+      under :class:`sb3_adaptive_q.wrappers.DiscretizeObservation` the number of the cell, and ``cell_0``, ``cell_1``, ...
     - ``q_0``, ``q_1``, ...: the value of every action
     - ``greedy_action`` and ``value``, that of the greedy action
     - what the step size remembers: ``<name>_0``, ``<name>_1``, ... for every action, or ``<name>`` for one number a state, or

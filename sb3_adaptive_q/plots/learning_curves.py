@@ -46,7 +46,7 @@ def plot_learning_curves(
 
     :param runs: the runs by what the legend shall say
     :param window: over how many of the last episodes the mean of a run is taken
-    :param ax: the axes to draw on; ``None`` for a new figure, which is saved with the fonts that journals take
+    :param ax: the axes to draw on; ``None`` for a new figure, whose PDF embeds TrueType fonts
     :param against: what is along x: ``"episodes"``, or ``"timesteps"`` where the lengths of the episodes are known
     :param center: ``"mean"`` over the runs, or ``"iqm"``, the interquartile mean (Agarwal et al., 2021): that of the middle
         half of the runs

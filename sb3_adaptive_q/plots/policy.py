@@ -51,13 +51,14 @@ def plot_policy(
     - Where the environment has a map (FrozenLake, CliffWalking, Taxi, or your own: see :mod:`sb3_adaptive_q.plots.grid_maps`):
       the value of every cell and an arrow for its greedy action; for ``"q"``, and memory of every state and action, four
       triangles a cell where the actions are four directions.
-    - Where observations have two components or more, as with :class:`wrappers.DiscretizeObservation`: two of them, with the
-      number of the greedy action. In a mean only states count whose actions differ in value, so those that were learned.
+    - Where observations have two components or more, as with :class:`sb3_adaptive_q.wrappers.DiscretizeObservation`: two of
+      them, with the number of the greedy action. A mean is taken over the states that were learned: those whose actions differ
+      in value.
     - Otherwise: a heat map, states along x and actions along y. Dots mark the greedy actions.
 
     :param model: a model, or a table of shape (n_states, n_actions)
     :param env: its environment, or the id of one; ``None`` for the one that the model learns from
-    :param ax: the axes to draw on; ``None`` for a new figure, which is saved with the fonts that journals take
+    :param ax: the axes to draw on; ``None`` for a new figure, whose PDF embeds TrueType fonts
     :param what: ``"value"``; ``"q"`` for every action; ``"memory:<name>"`` for an array of the step size, such as
         ``"memory:visits"``
     :param passenger: where Taxi's passenger is: ``"R"``, ``"G"``, ``"Y"``, ``"B"`` or ``"taxi"``; ``None`` for ``"R"``

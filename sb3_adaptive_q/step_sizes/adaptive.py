@@ -226,12 +226,12 @@ DELTA_BAR_DELTA = StepSize(
 
 def obgd(mu: float, step: Step, alpha: float, kappa: float) -> float:
     """
-    Overshooting-bounded gradient descent (Elsayed, Vasan and Mahmood 2024) without traces: a constant, lowered where the
-    change of the table would exceed 1/κ.
+    Overshooting-bounded gradient descent (Elsayed, Vasan and Mahmood 2024) without traces: the smaller of α and
+    1 / (κ max(|δ|, 1)), so that no update changes the table by more than 1/κ.
 
     :param mu: unused
     :param step: its ``td_error`` is δ
-    :param alpha: the step size where nothing bounds it
+    :param alpha: the largest step size
     :param kappa: κ
     :return: α / max(1, α κ max(|δ|, 1))
     """
@@ -242,7 +242,7 @@ OBGD = StepSize(
     name="obgd",
     step_size=obgd,
     parameters={
-        "alpha": Parameter(1.0, 0.0, 1.0, "the step size where nothing bounds it", open_lower=True),
+        "alpha": Parameter(1.0, 0.0, 1.0, "the largest step size", open_lower=True),
         "kappa": Parameter(2.0, 0.0, float("inf"), "no update changes the table by more than 1 / κ", open_lower=True),
     },
     memory={},

@@ -10,7 +10,7 @@ from sb3_adaptive_q.step_sizes.step import StepSize
 
 LEGEND = (
     "μ: the step size. n: the number of updates of the cell, this one included. δ: the temporal-difference error. "
-    "γ: the discount factor. A ← B: B replaces A at every update. Other letters: what the cell remembers."
+    "γ: the discount factor. A ← B: B replaces A at every update. Other letters: parameters, or what the cell remembers."
 )
 
 

@@ -23,8 +23,8 @@ class _CartPoleDynamics(Dynamics):
         super().__init__(env, grid)
         if grid is None:
             raise ValueError(
-                f"{type(env).__name__} compiles only inside `wrappers.DiscretizeObservation` or gymnasium's wrapper of "
-                "that name: please wrap it."
+                f"{type(env).__name__} compiles only inside `sb3_adaptive_q.wrappers.DiscretizeObservation` or gymnasium's "
+                "wrapper of that name: please wrap it."
             )
 
     def table_shape(self) -> tuple[int, int]:

@@ -34,7 +34,7 @@ class Dynamics:
     way, if the environment draws nothing else.
 
     :param env: the environment without its wrappers
-    :param grid: the edges of the :class:`wrappers.DiscretizeObservation` around it, if there is one
+    :param grid: the edges of the :class:`sb3_adaptive_q.wrappers.DiscretizeObservation` around it, if there is one
     :raises ValueError: if the environment has settings that these functions do not cover
     """
 
@@ -177,7 +177,7 @@ def whole_number_of(env: Any, name: str) -> int:
 
 class Grid(NamedTuple):
     """
-    The cells of a :class:`wrappers.DiscretizeObservation`, for compiled code.
+    The cells of a :class:`sb3_adaptive_q.wrappers.DiscretizeObservation`, for compiled code.
 
     :param edges: of shape (dimensions, largest number of edges), padded with infinity
     :param counts: how many edges each dimension has
@@ -209,7 +209,7 @@ class Grid(NamedTuple):
 
 def grid_index(edges, counts, scales, observation):
     """
-    The number of the cell that holds an observation, as :class:`wrappers.DiscretizeObservation` numbers it.
+    The number of the cell that holds an observation, as :class:`sb3_adaptive_q.wrappers.DiscretizeObservation` numbers it.
 
     :param edges: as in :class:`Grid`
     :param counts: as in :class:`Grid`

@@ -13,7 +13,7 @@ class Garnet(NamedTuple):
     A random process (Archibald, McKinnon and Thomas, 1995; Bhatnagar et al., 2009), without the noise of its rewards.
 
     :param successors: of every state and action, all different, of shape (n_states, n_actions, n_successors)
-    :param probabilities: of the successors, from uniform cut points of [0, 1]
+    :param probabilities: of the successors, from uniform cut points of [0, 1], of the same shape
     :param mean_rewards: of every state and action, standard normal, of shape (n_states, n_actions)
     """
 
@@ -70,7 +70,7 @@ def garnet(
     instance: int = 0, n_states: int = 30, n_actions: int = 4, n_successors: int = 3, noise: float = 1.0
 ) -> tuple[Table, Start]:
     """
-    Draw a random process, and begin in state 0.
+    Build a garnet, a process drawn at random (Archibald, McKinnon and Thomas, 1995), which begins in state 0.
 
     :param instance: the seed; another instance is another task
     :param n_states: number of states
