@@ -1,4 +1,4 @@
-"""Tabular Q-learning for Stable-Baselines3, with eight ways of setting its learning rate online."""
+"""Tabular reinforcement learning for Stable-Baselines3, with methods that set the step size online."""
 
 from pathlib import Path
 

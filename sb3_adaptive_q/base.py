@@ -55,7 +55,8 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
     - :meth:`working_arrays`: what belongs to the episodes of each environment, such as traces, with
       :meth:`check_working_arrays` for those that come from a file.
 
-    :param policy: ``"MlpPolicy"``, which is the table; the name is SB3's, no network is involved
+    :param policy: ``"MlpPolicy"``, which is the table; the name is SB3's, no network is involved. SB3's name for Dict
+        observations, ``"MultiInputPolicy"``, means the same
     :param env: the environment to learn from, or its id; ``None`` for a model that is only loaded to predict
     :param learning_rate: the step size μ, from 0 to 1, where no method is installed: a number, or a function of the
         remaining progress (from 1 to 0)
@@ -91,7 +92,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
     :raises MemoryError: if the table would not fit into the memory
     """
 
-    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": MlpPolicy}
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MlpPolicy": MlpPolicy, "MultiInputPolicy": MlpPolicy}
     policy: TabularQPolicy
 
     # The state of a training, kept where machine code reads and writes it

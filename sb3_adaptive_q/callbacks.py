@@ -49,7 +49,7 @@ class LearningRateCallback(BaseCallback):
     memory: ClassVar[Mapping[str, float]] = {}
     #: Whether the functions use ``step.count``, the number of updates of a cell
     counts: ClassVar[bool] = False
-    #: The bounds to which a step size is clipped. Unless both are set, a step size outside [0, 1] is an error
+    #: The bounds to which both functions' step sizes are clipped. Without them, a step size outside [0, 1] is an error
     lower: ClassVar[float | None] = None
     upper: ClassVar[float | None] = None
     #: Whether a call at the end of each rollout, as on the compiled path, is enough for this callback
@@ -83,12 +83,17 @@ class LearningRateCallback(BaseCallback):
             reset_each_episode=reset_each_episode,
         )
         if kind.lower is not None and kind.upper is not None:
-            data = data._replace(bounds=(kind.lower, kind.upper))
+            data = data._replace(bounds=_check_bounds(kind.lower, kind.upper))
+        elif kind.lower is not None or kind.upper is not None:
+            raise ValueError(
+                f"{kind.__qualname__} has the class attributes lower={kind.lower} and upper={kind.upper}: please set both, or "
+                "neither."
+            )
         self._install(InstalledMethod(data, (kind.step_size, kind.rule)))
 
     def _install(self, method: InstalledMethod) -> None:
         self.method = method
-        method.data._replace(mu_0=method.start())  # raises an error if the functions give no step size
+        method.start()  # raises an error if the functions give no step size
 
     def _on_training_start(self) -> None:
         if not hasattr(self.model, "install_method"):

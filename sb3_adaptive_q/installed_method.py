@@ -15,13 +15,15 @@ from sb3_adaptive_q.step_sizes.cells import (
     MOST_ARRAYS,
     keep_mu,
     last_size,
+    make_clipped,
     make_size,
     scalar_size,
-    scope_shape,
 )
 from sb3_adaptive_q.step_sizes.step import Step, clip_size
 
 
+#: The bounds of a step size that is not clipped: one outside [0, 1] is refused where it was computed
+NO_BOUNDS = (float("-inf"), float("inf"))
 _STEP_OF_ZEROS = Step(0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -49,30 +51,10 @@ class MethodData(NamedTuple):
     memory: dict[str, float] = {}  # noqa: RUF012  # never changed
     counts: bool = False
     scope: str = "pair"
-    bounds: tuple[float, float] = (float("-inf"), float("inf"))
+    bounds: tuple[float, float] = NO_BOUNDS
     mu_0: float | None = None
     next_action: str = "next"
     reset_each_episode: bool = False
-
-
-class _NoSuchCell(IndexError):
-    """A place outside of an array."""
-
-
-class _Cells(np.ndarray):
-    """An array whose error tells that the place was outside of this array, and of no other."""
-
-    def __getitem__(self, place: Any) -> Any:
-        try:
-            return super().__getitem__(place)
-        except IndexError as error:
-            raise _NoSuchCell(str(error)) from error
-
-    def __setitem__(self, place: Any, value: Any) -> None:
-        try:
-            super().__setitem__(place, value)
-        except IndexError as error:
-            raise _NoSuchCell(str(error)) from error
 
 
 class InstalledMethod:
@@ -135,7 +117,7 @@ class InstalledMethod:
     def rule_function(self) -> Callable[..., float]:
         """The function that computes the next scalar μ."""
         if self.rule is not None:
-            return self.rule
+            return self.rule if self.data.bounds == NO_BOUNDS else make_clipped(self.rule, *self.data.bounds)
         return last_size if self.step_size is not None else keep_mu
 
     def check_functions(self) -> None:
@@ -158,32 +140,6 @@ class InstalledMethod:
                     f"`{name}` of {self.data.owner} must return a number in every case, but returns {other}: please check it."
                 )
 
-    def check_cells(self, n_states: int, n_actions: int) -> None:
-        """
-        Try a function of the user's with the last state and action, where the memory has fewer cells than the table.
-
-        :param n_states: rows of the table
-        :param n_actions: columns of the table
-        :raises ValueError: if it then looks for a cell that its memory does not have: machine code would not notice
-        """
-        if self.step_size is None or self.data.scope == "pair" or _is_own(self.step_size):
-            return
-        shape = scope_shape(self.data.scope, n_states, n_actions)
-        function: Any = getattr(self.step_size, "py_func", self.step_size)
-        last = _STEP_OF_ZEROS._replace(state=n_states - 1, action=n_actions - 1, row=shape[0] - 1, count=1.0)
-        for step in (last, last._replace(value=1.0, next_value=1.0, td_error=1.0)):
-            arrays = [np.full(shape, start).view(_Cells) for start in self.data.memory.values()]
-            try:
-                with np.errstate(all="ignore"):
-                    function(0.5, step, *self.arguments, *arrays)
-            except _NoSuchCell as error:
-                raise ValueError(
-                    f"`step_size` of {self.data.owner} looks for a cell that its memory does not have ({error}): with scope "
-                    f"{self.data.scope!r} the arrays have the shape {shape}, so please use `[step.row, step.column]`."
-                ) from error
-            except Exception:  # such as a division by 0, which need not happen while learning
-                pass
-
     def start(self) -> float:
         """
         :return: the scalar step size of the first update
@@ -197,7 +153,7 @@ class InstalledMethod:
                 arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
                 mu: Any = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
             else:
-                mu = self.rule(0.0, step, *self.arguments)
+                mu = self.rule_function(0.0, step, *self.arguments)
         except ZeroDivisionError as error:
             raise ValueError(
                 f"{self.data.owner} must give step sizes from 0 to 1, but before the first update, where all numbers of "

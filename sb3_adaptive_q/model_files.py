@@ -27,6 +27,8 @@ from sb3_adaptive_q.training_state import TrainingState
 
 #: The largest number of environments that a file may have
 MOST_ENVS = 1_000_000
+#: The arguments that replace the method of a file
+_METHOD = frozenset(("method", "method_kwargs"))
 
 SelfSavedAsData = TypeVar("SelfSavedAsData", bound="SavedAsData")
 
@@ -38,9 +40,9 @@ class SavedAsData:
     built_anew: ClassVar[frozenset[str]] = frozenset(
         (
             "policy", "device", "env", "replay_buffer", "rollout_buffer", "_vec_normalize_env", "_logger", "_custom_logger",
-            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_learning", "_method",
-            "_missing_method", "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters", "_unfinished",
-            "_update_parameters", "_working",
+            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_known_method", "_learning",
+            "_method", "_missing_method", "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters",
+            "_unfinished", "_update_parameters", "_working",
         )
     )  # fmt: skip
 
@@ -60,6 +62,10 @@ class SavedAsData:
         """
         left_out = {*(exclude or ()), *self._excluded_save_params()} - set(include or ())  # type: ignore[attr-defined]
         data, arrays = collect(self, left_out | self.built_anew)
+        try:
+            _check_values({name: tensor.numpy() for name, tensor in self.policy.named_buffers()})  # type: ignore[attr-defined]
+        except ValueError as error:
+            warnings.warn(f"`load` will refuse the file {path}: {error}. Did the training diverge?", stacklevel=2)
         write_archive(path, data, arrays)
 
     @classmethod
@@ -96,7 +102,8 @@ class SavedAsData:
         """
         force_reset = check("force_reset", force_reset)
         saved = cls._read(path, custom_objects, print_system_info, allow_pickle)
-        model = cls._build(saved, env, device, force_reset, kwargs)
+        chosen = {name: (custom_objects or {})[name] for name in _METHOD if name in (custom_objects or {})}
+        model = cls._build(saved, env, device, force_reset, chosen | kwargs)
         if "lr_schedule" in (custom_objects or {}) and saved.method is None:
             model._set_schedule((custom_objects or {})["lr_schedule"])
         if "seed" not in kwargs and saved.training.get("num_timesteps", 0) > 0:
@@ -155,7 +162,13 @@ class SavedAsData:
             model = cls(policy=attributes["policy_class"], env=env, device=device, _init_setup_model=False)  # type: ignore[call-arg]
             model.__dict__.update(attributes)
             model.__dict__.update({name: value for name, value in changes.items() if name not in properties})
+            schedule = None if "learning_rate" in changes else attributes.get("learning_rate")
+            if callable(schedule):  # a function that the file names is called by `learn`, not here
+                model.learning_rate = 0.0  # type: ignore[attr-defined]
             model._setup_model()  # type: ignore[attr-defined]
+            if callable(schedule):
+                model.learning_rate = model._known_learning_rate = schedule  # type: ignore[attr-defined]
+                model._setup_lr_schedule()  # type: ignore[attr-defined]
             model._restore(saved, method, changes)
             schedule = changes.get("lr_schedule", None if "learning_rate" in changes else attributes.get("lr_schedule"))
             if schedule is not None:
@@ -167,7 +180,7 @@ class SavedAsData:
     def _restore(self, saved: SavedModel, method: InstalledMethod | None, changes: dict[str, Any]) -> None:
         model: Any = self
         buffers, training = saved.buffers, dict(saved.training)
-        is_method_replaced = not {"method", "method_kwargs"}.isdisjoint(changes)
+        is_method_replaced = not _METHOD.isdisjoint(changes)
         if is_method_replaced:  # the file's μ and memory belong to the old method
             buffers = {name: array for name, array in buffers.items() if not name.startswith(MEMORY) and name != "mu"}
             training.pop("mu", None)
@@ -263,6 +276,9 @@ class SavedAsData:
         arrays = {name: value.cpu().numpy() for name, value in values.items()}
         _check_names_and_shapes(policy.state_dict(), arrays, is_complete)
         _check_values(arrays)
+        tables = {"q_table", *self.extra_tables(policy.n_states, policy.n_actions)}  # type: ignore[attr-defined]
+        if 0 < len(tables & set(arrays)) < len(tables):
+            raise ValueError(f"{', '.join(sorted(tables))} belong together: please give all of them, but got {list(arrays)}.")
         policy.load_state_dict(values, strict=is_complete)
 
     def check_functions_found(self, callback: Any) -> None:

@@ -3,8 +3,9 @@
 import threading
 import weakref
 
-#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do
-SETTING_UP = threading.Lock()
+#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do. SB3 also resets the
+#: environment then, which may let another model learn in the same thread
+SETTING_UP = threading.RLock()
 
 
 class Training:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 from math import prod
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import psutil
@@ -19,6 +19,9 @@ from sb3_adaptive_q.state_index import make_state_index
 MEMORY = "memory_"
 #: Arrays of fewer bytes are made without asking the system how much memory is free
 SURELY_FREE = 2**20
+
+
+SelfTabularQPolicy = TypeVar("SelfTabularQPolicy", bound="TabularQPolicy")
 
 
 def greedy(rows: np.ndarray) -> np.ndarray:
@@ -184,6 +187,22 @@ class TabularQPolicy(BasePolicy):
         :return: an empty vector: what learning changes are buffers, not parameters
         """
         return np.zeros(0, dtype=np.float32)
+
+    @classmethod
+    def load(cls: type[SelfTabularQPolicy], path: str, device: th.device | str = "auto") -> SelfTabularQPolicy:
+        """
+        Load a policy that :meth:`save` has written, with the buffers of algorithm and step size. As in SB3, the file is a
+        pickle: load only what you trust.
+
+        :param path: the file
+        :param device: unused: the table is worked on in place, on the CPU
+        :return: the policy
+        """
+        saved = th.load(path, map_location="cpu", weights_only=False)
+        policy = cls(**saved["data"])
+        for name, tensor in saved["state_dict"].items():
+            policy.register_buffer(name, tensor)
+        return policy
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

@@ -13,6 +13,7 @@ class Prediction:
 
     policy: TabularQPolicy
     exploration: str
+    ties: str
     exploration_rate: float
     _predict_generator: np.random.Generator
 
@@ -50,4 +51,9 @@ class Prediction:
             return (rows / self.exploration_rate + generator.gumbel(size=rows.shape)).argmax(axis=1)
         random_actions = np.where(rows == -inf, -1.0, generator.random(rows.shape)).argmax(axis=1)
         explores = generator.random(len(rows)) < self.exploration_rate
-        return np.where(explores, random_actions, rows.argmax(axis=1))
+        if self.ties == "random":
+            is_best = rows == rows.max(axis=1, keepdims=True)
+            best = np.where(is_best, generator.random(rows.shape), -1.0).argmax(axis=1)
+        else:
+            best = greedy(rows)
+        return np.where(explores, random_actions, best)

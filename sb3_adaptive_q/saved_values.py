@@ -23,11 +23,13 @@ ARRAY_KINDS = "biuf"
 #: The largest number of components of a space. A table can have 2^63 rows, so 63 components of two or more values
 MOST_COMPONENTS = 10_000
 
+#: RL Zoo's class for a learning rate such as ``lin_0.1``
+SIMPLE_LINEAR = "rl_zoo3.utils:SimpleLinearSchedule"
 #: The arguments of the schedules of SB3 and RL Zoo, by class
 _SCHEDULES = {
     "stable_baselines3.common.utils:ConstantSchedule": ("val",),
     "stable_baselines3.common.utils:LinearSchedule": ("start", "end", "end_fraction"),
-    "rl_zoo3.utils:SimpleLinearSchedule": ("initial_value",),
+    SIMPLE_LINEAR: ("initial_value",),
 }
 
 

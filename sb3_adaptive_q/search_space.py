@@ -1,7 +1,6 @@
 """What RL Zoo's ``--optimize`` searches: the arguments that all tabular algorithms take, and those of each algorithm."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import optuna
@@ -9,17 +8,6 @@ import optuna
 from sb3_adaptive_q.algorithms.n_step import TARGETS
 from sb3_adaptive_q.algorithms.q_lambda import VARIANTS
 from sb3_adaptive_q.algorithms.traces import MARKS
-
-#: What the trial stores in place of arguments, for :func:`convert` to make these of them
-SHARED = ("method", "upper", "lower_fraction", "change", "one_minus_gamma", "exploration_fraction", "exploration_final_eps")
-
-
-def sampler_of(algorithm: str) -> Callable[..., dict[str, Any]]:
-    """
-    :param algorithm: the name of a tabular algorithm
-    :return: a function of a trial, in RL Zoo's interface, that draws a candidate for that algorithm
-    """
-    return partial(sample, algorithm=algorithm)
 
 
 def sample(
@@ -62,8 +50,9 @@ def convert(sampled: dict[str, Any]) -> dict[str, Any]:
     :param sampled: the values drawn by :func:`sample`, by their names in the trial
     :return: arguments of the algorithm
     """
-    number, upper = sampled["method"], sampled["upper"]
-    lower, change = upper * sampled["lower_fraction"], upper * sampled["change"]
+    rest = dict(sampled)
+    number, upper = rest.pop("method"), rest.pop("upper")
+    lower, change = upper * rest.pop("lower_fraction"), upper * rest.pop("change")
     bounds = {"mu_0": upper, "lower": lower, "upper": upper}
     method_kwargs = {
         1: {"beta": upper},
@@ -77,10 +66,8 @@ def convert(sampled: dict[str, Any]) -> dict[str, Any]:
     return {
         "method": number,
         "method_kwargs": method_kwargs[number],
-        "gamma": 1.0 - sampled["one_minus_gamma"],
-        "exploration_fraction": sampled["exploration_fraction"],
-        "exploration_final_eps": sampled["exploration_final_eps"],
-        **{name: value for name, value in sampled.items() if name not in SHARED},
+        "gamma": 1.0 - rest.pop("one_minus_gamma"),
+        **rest,
     }
 
 

@@ -11,14 +11,12 @@ from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.checks import ATTRIBUTES, RATE, RATE_ABOVE_0, TEMPERATURE, Check, check
-from sb3_adaptive_q.installed_method import InstalledMethod, MethodData
+from sb3_adaptive_q.installed_method import NO_BOUNDS, InstalledMethod, MethodData
 from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
 from sb3_adaptive_q.rollouts.functions import Choices, make_explore
+from sb3_adaptive_q.saved_values import SIMPLE_LINEAR, path_of
 from sb3_adaptive_q.step_sizes.cells import keep_mu, scalar_size, scope_shape
 from sb3_adaptive_q.training_state import TrainingState, field_of_state
-
-#: The bounds of a step size without a method: none, because a scalar is checked where it is computed
-_NO_BOUNDS = (float("-inf"), float("inf"))
 
 
 class StepSizeInForce(AlgorithmDeclaration):
@@ -35,6 +33,7 @@ class StepSizeInForce(AlgorithmDeclaration):
     _method: InstalledMethod | None
     _missing_method: MethodData | None
     _known_learning_rate: Any
+    _known_method: tuple[Any, dict[str, Any]]
 
     _exploration_rate = field_of_state("epsilon", "The exploration rate in force.")
     _mu = field_of_state("mu", "The scalar step size in force.")
@@ -89,10 +88,8 @@ class StepSizeInForce(AlgorithmDeclaration):
 
         :param method: the method
         :param restart: whether μ and the memory start anew even if the same method is in force already
-        :raises ValueError: if the method resets μ with every episode and there are several environments, or looks for a cell
-            of its memory where there is none
+        :raises ValueError: if the method resets μ with every episode and there are several environments
         """
-        method.check_cells(self.policy.n_states, self.policy.n_actions)
         in_force = self._missing_method if self._method is None else self._method.data
         starts = restart or method.data != in_force
         self._use_method(method)
@@ -127,7 +124,7 @@ class StepSizeInForce(AlgorithmDeclaration):
         """Arrays, parameters and bounds of the step size, as machine code takes them."""
         method = self._method
         if method is None:
-            return (), self._schedule_parameters, _NO_BOUNDS
+            return (), self._schedule_parameters, NO_BOUNDS
         shape = (self.n_tables, *scope_shape(method.data.scope, self.policy.n_states, self.policy.n_actions))
         arrays = tuple(self.policy.array(MEMORY + name, shape) for name in method.array_starts)
         return arrays, method.arguments, tuple(map(float, method.data.bounds))
@@ -156,6 +153,9 @@ class StepSizeInForce(AlgorithmDeclaration):
         if isinstance(schedule, LinearSchedule):
             self._schedule_parameters = (float(schedule.start), float(schedule.end), float(schedule.end_fraction))
             return _linear_schedule
+        if path_of(type(schedule)) == SIMPLE_LINEAR:
+            self._schedule_parameters = (float(schedule.initial_value),)
+            return _simple_linear_schedule
 
         def scheduled(mu, step):  # type: ignore[no-untyped-def]
             return float(schedule(1.0 - step.progress))
@@ -166,6 +166,8 @@ class StepSizeInForce(AlgorithmDeclaration):
         """Set the first μ of a training. This comes before the callbacks, so that one may set another μ."""
         record = self.training.record
         record["holds_mu"] = record["holds_epsilon"] = 0
+        if self._own_method() != self._known_method:  # the user has assigned another one since the last training
+            self._install_own_method()
         if self.learning_rate != self._known_learning_rate:  # the user has assigned a new one since the last training
             self._setup_lr_schedule()  # type: ignore[attr-defined]
             self._known_learning_rate = self.learning_rate
@@ -220,9 +222,14 @@ class StepSizeInForce(AlgorithmDeclaration):
     def _install_own_method(self) -> None:
         """Install the method of the constructor's arguments, if there is one."""
         self._missing_method = None  # a file may name a method whose class is not imported
+        self._known_method = self._own_method()
         self._use_method(None)
+        self.policy.forget_memory()
         if self.method is not None:
             self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
+
+    def _own_method(self) -> tuple[Any, dict[str, Any]]:
+        return self.method, dict(self.method_kwargs or {})
 
     def _check_arguments(self) -> None:
         """Check the attributes that are the constructor's arguments, and make plain types of them."""
@@ -250,6 +257,11 @@ class StepSizeInForce(AlgorithmDeclaration):
 
     def _rate_check(self) -> Check:
         return TEMPERATURE if self.exploration == "boltzmann" else RATE  # type: ignore[attr-defined]
+
+
+def _simple_linear_schedule(mu, step, initial_value):  # type: ignore[no-untyped-def]
+    """RL Zoo's SimpleLinearSchedule."""
+    return (1.0 - step.progress) * initial_value
 
 
 def _linear_schedule(mu, step, start, end, end_fraction):  # type: ignore[no-untyped-def]

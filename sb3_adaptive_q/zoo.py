@@ -54,7 +54,7 @@ def register() -> None:
     """Make the tabular algorithms known to RL Zoo, with their search space for ``--optimize``."""
     for name, algorithm in ALGORITHMS.items():
         rl_zoo3.ALGOS[name] = algorithm
-        HYPERPARAMS_SAMPLER[name] = search_space.sampler_of(name)
+        HYPERPARAMS_SAMPLER[name] = partial(search_space.sample, algorithm=name)
         HYPERPARAMS_CONVERTER[name] = search_space.convert  # type: ignore[assignment]
 
 

@@ -449,6 +449,16 @@ class TestPredict:
             assert np.all(np.abs(counts - len(sample) * expected) <= 5 * deviation)
         assert set(model.predict(np.full(1000, state), deterministic=True)[0]) == {model.q_table[state].argmax()}
 
+    @pytest.mark.parametrize(("ties", "n_taken"), [("random", 2), ("first", 1)])
+    def test_ties_are_broken_as_while_learning(self, ties, n_taken):
+        """Of 1000 predictions: each of the two best actions is taken half of the time, to within 5 standard deviations."""
+        model = lake(ties=ties)
+        model.exploration_rate, model.q_table[6] = 0.0, [0.0, 1.0, 1.0, 0.0]
+        counts = np.bincount(model.predict(np.full(1000, 6))[0], minlength=4)
+        assert (counts > 0).sum() == n_taken and counts[[0, 3]].sum() == 0
+        assert abs(counts[1] - 1000 / n_taken) <= 5 * 16
+        assert set(model.predict(np.full(1000, 6), deterministic=True)[0]) == {1}
+
     def test_the_exploration_rate_of_training_is_the_one_in_force(self):
         model = lake(exploration_final_eps=0.25).learn(100)
         assert model.exploration_rate == 0.25

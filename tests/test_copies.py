@@ -77,5 +77,18 @@ def test_a_callback_that_moves_the_environment_moves_the_compiled_one():
 def test_a_replaced_method_starts_from_its_own_rate(tmp_path):
     TabularQ("MlpPolicy", LAKE, method=2).save(tmp_path / "model")
     assert TabularQ.load(tmp_path / "model").mu == 0.05
-    assert TabularQ.load(tmp_path / "model", method=7).mu == 0.01
+    for arguments in ({"method": 7}, {"custom_objects": {"method": 7}}):
+        loaded = TabularQ.load(tmp_path / "model", env=LAKE, **arguments)
+        assert (loaded.mu, loaded.method, loaded.learn(10)._method.data.label) == (0.01, 7, "method7")
     assert TabularQ.load(tmp_path / "model", learning_rate=0.5).mu == 0.5
+
+
+def test_a_method_that_is_assigned_is_in_force_from_the_next_training():
+    model = TabularQ("MlpPolicy", LAKE, method=1, seed=0).learn(100)
+    model.method = 2
+    assert model.learn(100, reset_num_timesteps=False).mu == 0.05
+    model.method, model.method_kwargs = "polynomial", {"omega": 0.5}
+    assert model.learn(100, reset_num_timesteps=False).memory["visits"].sum() == 100
+    assert model.learn(100, reset_num_timesteps=False).memory["visits"].sum() == 200  # the same method goes on
+    model.method = model.method_kwargs = None
+    assert (model.learn(100, reset_num_timesteps=False).mu, model.memory) == (model.learning_rate, {})

@@ -11,9 +11,12 @@ import signal
 import threading
 import time
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from helpers.both_paths import make_model
+
+from sb3_adaptive_q import TabularQ
 
 
 #: With the environment variable, many more than in the suite
@@ -139,6 +142,18 @@ class TestOneTrainingAtATime:
         with pytest.raises(RuntimeError, match="learning already"):
             model.learn(1000, callback=lambda _locals, _globals: model.learn(10) is not None)
         model.learn(1000)
+
+    def test_an_environment_whose_reset_lets_another_model_learn(self):
+        """As in self-play. With a lock that one thread cannot take twice, this would wait for ever."""
+        opponent = make_model("slippery lake", False)
+
+        class SelfPlay(gym.Wrapper):
+            def reset(self, **kwargs):
+                opponent.learn(10)
+                return super().reset(**kwargs)
+
+        TabularQ("MlpPolicy", SelfPlay(gym.make("FrozenLake-v1")), seed=0).learn(100)
+        assert opponent.num_timesteps == 10
 
     @pytest.mark.parametrize("compiled", [False, True])
     def test_learn_in_another_thread_is_refused(self, compiled):

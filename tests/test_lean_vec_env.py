@@ -12,7 +12,7 @@ from helpers.environments import Episode, RenumberAction, SampledEnv, ScriptedEn
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor, load_results
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecMonitor
 
 from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
 from sb3_adaptive_q.vec_env.protocol import check_is_single_env, find_fault_of_step
@@ -441,6 +441,21 @@ class TestEndOfAnEpisode:
         observations, rewards, dones, (info,) = env.step(np.array([1]))
         assert (observations.tolist(), rewards.tolist(), dones.tolist()) == ([1], [3.0], [True])
         assert info == {"terminal_observation": 3, "TimeLimit.truncated": end == "truncated"}
+
+    def test_a_vec_env_that_does_not_tell_where_an_episode_ended(self):
+        """The value of a terminal state is 0 wherever it is, so nothing is missing."""
+
+        class Silent(VecEnvWrapper):
+            def reset(self):
+                return self.venv.reset()
+
+            def step_wait(self):
+                observations, rewards, dones, infos = self.venv.step_wait()
+                return observations, rewards, dones, [{} for _ in infos]
+
+        env = DummyVecEnv([lambda: ScriptedEnv([Episode(1, [Step(0.0, 2), Step(3.0, 3, "terminated")])])])
+        model = TabularQ("MlpPolicy", Silent(env), learning_rate=0.5, seed=0).learn(2)
+        assert sorted(model.q_table.ravel())[-1] == 1.5
 
     def test_terminated_and_truncated_at_once_is_terminated(self):
         class Both(ScriptedEnv):

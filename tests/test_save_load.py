@@ -10,6 +10,7 @@ import sys
 import warnings
 import zipfile
 from collections import deque
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -24,7 +25,16 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_adaptive_q import METHODS, LearningRateCallback, LinearDecayCallback, SARSALambda, TabularQ, TabularQPolicy, method
+from sb3_adaptive_q import (
+    METHODS,
+    DoubleQ,
+    LearningRateCallback,
+    LinearDecayCallback,
+    SARSALambda,
+    TabularQ,
+    TabularQPolicy,
+    method,
+)
 from sb3_adaptive_q.saved_values import decode, decode_schedule, encode, encode_schedule
 
 LAKE = "FrozenLake-v1"
@@ -519,7 +529,8 @@ class TestOtherSizes:
         teacher, pupil = (TabularQ("MlpPolicy", LAKE, initial_q=q, method="polynomial") for q in (1.0, 0.5))
         mu = pupil.mu
         change(teacher.policy)
-        teacher.save(tmp_path / "model")
+        with pytest.warns(UserWarning, match=f"`load` will refuse the file .*: {message}.*Did the training diverge"):
+            teacher.save(tmp_path / "model")
         with pytest.raises(ValueError, match=message) as caught:
             pupil.set_parameters(tmp_path / "model" if from_file else teacher.get_parameters())
         assert ("model.zip" in str(caught.value)) == from_file
@@ -586,6 +597,14 @@ class TestPolicyAlone:
         assert policy.mu.item() == model.mu
         np.testing.assert_array_equal(policy.predict(np.arange(16))[0], model.q_table.argmax(axis=1))
 
+    @pytest.mark.parametrize("kind", [partial(TabularQ, method="polynomial"), DoubleQ])
+    def test_with_further_buffers(self, tmp_path, kind):
+        model = kind("MlpPolicy", LAKE, seed=0, initial_q=1.0).learn(300)
+        model.policy.save(tmp_path / "policy.pth")
+        theirs, ours = TabularQPolicy.load(tmp_path / "policy.pth").state_dict(), model.policy.state_dict()
+        assert theirs.keys() == ours.keys() > {"q_table", "mu"}
+        assert all(th.equal(theirs[name], ours[name]) for name in ours)
+
     def test_with_other_spaces(self, tmp_path):
         env = SampledEnv(spaces.MultiDiscrete([3, 2], start=[1, 0]), spaces.Discrete(4, start=2))
         model = TabularQ("MlpPolicy", env, seed=0, initial_q=0.5).learn(300)
@@ -594,6 +613,35 @@ class TestPolicyAlone:
         np.testing.assert_array_equal(policy.q_table.numpy(), model.q_table)
         assert policy.initial_q == 0.5
         assert policy.predict(np.array([3, 1]))[0] == 2 + model.q_table[5].argmax()
+
+
+class Counted:
+    calls = 0
+
+
+def counted(left):
+    Counted.calls += 1
+    return 0.5 * left
+
+
+def test_loading_does_not_call_the_functions_that_a_file_names(tmp_path):
+    TabularQ("MlpPolicy", LAKE, learning_rate=counted, exploration_schedule=counted, seed=0).save(tmp_path / "model")
+    before = Counted.calls
+    loaded = TabularQ.load(tmp_path / "model", env=LAKE)
+    assert Counted.calls == before and loaded.learning_rate is counted
+    with pytest.warns(UserWarning, match="`learning_rate` or `exploration_schedule` runs as Python"):
+        loaded.learn(10)
+    assert Counted.calls > before
+
+
+def test_tables_that_belong_together_are_replaced_together():
+    model = DoubleQ("MlpPolicy", LAKE, seed=0)
+    tables = {"q_tables": th.ones(2, 16, 4)}
+    with pytest.raises(ValueError, match="q_table, q_tables belong together: please give all of them"):
+        model.set_parameters({"policy": tables}, exact_match=False)
+    assert not model.q_tables.any()
+    model.set_parameters({"policy": {**tables, "q_table": th.ones(16, 4)}}, exact_match=False)
+    assert model.q_tables.all() and model.q_table.all()
 
 
 class TestFunctionsThatAreGone:

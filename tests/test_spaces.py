@@ -470,8 +470,8 @@ class TestCompiled:
         register_dynamics(Corridor)(_CorridorDynamics)
         space = kind([spaces.Discrete(2), spaces.Discrete(3)])
         models = [
-            TabularQ("MlpPolicy", make_vec_env(lambda: Corridor(space), n_envs, vec_env_cls=cls), learning_rate=0.1, seed=0)
-            for cls in (LeanVecEnv, CompiledVecEnv)
+            TabularQ(name, make_vec_env(lambda: Corridor(space), n_envs, vec_env_cls=cls), learning_rate=0.1, seed=0)
+            for name, cls in (("MlpPolicy", LeanVecEnv), ("MultiInputPolicy", CompiledVecEnv))
         ]
         for model in models:
             model.learn(600, log_interval=None).learn(400, reset_num_timesteps=False, log_interval=None)

@@ -263,9 +263,6 @@ class TestRulesOfThePaper:
         expected = paper_rates(float)[number](mu, value, next_value, progress)
         assert self.rules[number](mu, step) == pytest.approx(expected, rel=1e-14)
 
-    def test_hold(self) -> None:
-        assert paper.hold_rate(0.3, make_step()) == 0.3
-
 
 @pytest.mark.parametrize(("scope", "shape"), [("pair", (7, 3)), ("state", (7, 1)), ("shared", (1, 1))])
 def test_a_scope_is_a_shape_of_cells(scope: str, shape: tuple[int, int]) -> None:

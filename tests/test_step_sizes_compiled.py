@@ -28,7 +28,6 @@ OTHER_PARAMETERS: dict[str, dict[str, float]] = {
     "swift_td": {"theta": 10.0, "eta": 0.5},
 }
 PAPER_RULES: dict[Callable[..., float], tuple[float, ...]] = {
-    paper.hold_rate: (),
     paper.constant_rate: (0.05,),
     paper.linear_decay_rate: (0.01, 0.04),
     paper.linear_growth_rate: (0.01, 0.04),

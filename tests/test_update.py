@@ -88,6 +88,28 @@ class TestRules:
         Mean.counts = True
         assert TabularQ("MlpPolicy", LAKE, seed=0).learn(50, callback=Mean()).memory["visits"].sum() == 50
 
+    @pytest.mark.parametrize("kind", [LeanVecEnv, CompiledVecEnv])
+    def test_one_that_has_bounds(self, kind):
+        class Climbing(LearningRateCallback):
+            lower, upper = 0.25, 0.75
+
+            @staticmethod
+            def rule(mu, step):
+                return mu + 0.125
+
+        assert Climbing().method.start() == 0.25
+        model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=kind), seed=0)
+        assert [model.learn(n, callback=Climbing()).mu for n in (1, 3, 10)] == [0.375, 0.625, 0.75]
+
+    @pytest.mark.parametrize(("bounds", "message"), [
+        ({"upper": 0.5}, "Bounded has the class attributes lower=None and upper=0.5: please set both, or neither"),
+        ({"lower": 0.5, "upper": 0.1}, "`lower` must not be above `upper`"),
+    ])  # fmt: skip
+    def test_bounds_that_are_none(self, bounds, message):
+        kind = type("Bounded", (LearningRateCallback,), {**bounds, "step_size": staticmethod(lambda mu, step: 0.3)})
+        with pytest.raises(ValueError, match=message):
+            kind()
+
     def test_one_that_is_a_method(self):
         class Bound(LearningRateCallback):
             def rule(self, mu, step):

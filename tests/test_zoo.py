@@ -15,8 +15,19 @@ import yaml
 from hypothesis import given, strategies as st
 from optuna.trial import FixedTrial
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
+from rl_zoo3.utils import linear_schedule
+from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_adaptive_q import ALGORITHMS, METHODS, TabularAlgorithm, TabularQ, search_space, zoo
+from sb3_adaptive_q import (
+    ALGORITHMS,
+    METHODS,
+    CompiledVecEnv,
+    LeanVecEnv,
+    TabularAlgorithm,
+    TabularQ,
+    search_space,
+    zoo,
+)
 from sb3_adaptive_q.envs import PROBLEMS
 
 CONFIG: dict[str, dict[str, Any]] = yaml.safe_load(zoo.CONFIG.read_text())
@@ -36,7 +47,7 @@ SEARCH_SPACE = st.fixed_dictionaries(
 
 
 def sample(trial: Any, algorithm: str = "tabular_q") -> dict[str, Any]:
-    return search_space.sampler_of(algorithm)(trial, n_actions=0, n_envs=1, additional_args={})
+    return search_space.sample(trial, n_actions=0, n_envs=1, additional_args={}, algorithm=algorithm)
 
 
 def ask(algorithm: str, n_trials: int) -> list[tuple[optuna.Trial, dict[str, Any]]]:
@@ -210,3 +221,17 @@ def test_tensorboard_command(
     (tmp_path / "other").mkdir()
     monkeypatch.chdir(tmp_path / "other")
     assert zoo.tensorboard_command() == (str(tmp_path / expected) if "/" in expected else expected)
+
+
+def test_a_learning_rate_that_falls_in_a_line_compiles() -> None:
+    """What RL Zoo makes of ``lin_0.1``: compiled, the same bits as by calling SB3's schedule before each update."""
+    tables = []
+    for kind, make in (
+        (LeanVecEnv, lambda schedule: lambda left: schedule(left)),
+        (CompiledVecEnv, lambda schedule: schedule),
+    ):
+        env = make_vec_env("FrozenLake-v1", vec_env_cls=kind)
+        model = TabularQ("MlpPolicy", env, learning_rate=make(linear_schedule("0.1")), initial_q=1.0, seed=0)
+        tables.append(model.learn(3000).q_table)
+    assert (tables[0] < 1.0).any()
+    np.testing.assert_array_equal(*tables)

@@ -185,8 +185,5 @@ def value_for_rule(tables, agent, best, t, next_action):
     :param next_action: the action that is taken in s'
     :return: Q_t(s', a) for the rule, 0 where s' is terminal
     """
-    if t.terminated:
-        return 0.0
-    if agent.next_action == MAXIMUM:
-        return best(tables, tables[0], t.next_state)[1]
-    return tables[0][t.next_state, t.action if agent.next_action == SAME_ACTION else next_action]
+    best_value = best_for_rule(tables, tables[0], agent, best, t)
+    return kept_value(tables[0][t.next_state], agent, t, next_action, best_value)

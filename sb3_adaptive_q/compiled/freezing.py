@@ -67,8 +67,10 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     scope, keys = _freeze_values({name: in_scope[name] for name in names if name in in_scope}, names)
     contents = [cell.cell_contents for cell in cells]
     closure, cell_keys = _freeze_values(dict(zip(original.__code__.co_freevars, contents, strict=True)), names)
+    # A function of the user's may look beyond the end of an array. Ours do not, and are slower with checks
+    checked = {"boundscheck": (original.__module__ or "").partition(".")[0] != __name__.partition(".")[0]}
     decides = [
-        bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
+        checked, bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
         _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__), text,
     ]  # fmt: skip
     name = f"{original.__name__}_{hashlib.sha256(repr(decides).encode()).hexdigest()[:20]}"
@@ -81,7 +83,7 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     )
     copy.__kwdefaults__ = original.__kwdefaults__
     copy.__module__, copy.__qualname__ = frozen.__name__, name
-    register_jitable(**INLINED)(copy)
+    register_jitable(**INLINED, **checked)(copy)
     setattr(frozen, name, copy)
     return copy
 

@@ -14,36 +14,12 @@ def _store_number(states, i, state):
     states[i, 0] = state
 
 
-def _load_1(states, i):
-    return (states[i, 0],)
-
-
-def _load_2(states, i):
-    return states[i, 0], states[i, 1]
-
-
-def _load_3(states, i):
-    return states[i, 0], states[i, 1], states[i, 2]
-
-
-def _load_4(states, i):
-    return states[i, 0], states[i, 1], states[i, 2], states[i, 3]
-
-
-def _load_5(states, i):
-    return states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4]
-
-
-def _load_6(states, i):
-    return states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4], states[i, 5]
-
-
-def _load_7(states, i):
-    return states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4], states[i, 5], states[i, 6]
-
-
-def _load_8(states, i):
-    return states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4], states[i, 5], states[i, 6], states[i, 7]
+def _load_tuple(size: int) -> Callable[..., Any]:
+    last = size - 1
+    if size == 1:
+        return lambda states, i: (states[i, 0],)
+    others = _load_tuple(size - 1)
+    return lambda states, i: others(states, i) + (states[i, last],)  # noqa: RUF005
 
 
 def _store_tuple(states, i, state):
@@ -51,7 +27,8 @@ def _store_tuple(states, i, state):
         states[i, j] = state[j]
 
 
-_LOAD_TUPLE = (_load_1, _load_2, _load_3, _load_4, _load_5, _load_6, _load_7, _load_8)
+#: The longest state
+MOST_FLOATS = 8
 
 
 def place_functions(example_state: Any) -> tuple[Callable[..., Any], Callable[..., Any]]:
@@ -62,12 +39,12 @@ def place_functions(example_state: Any) -> tuple[Callable[..., Any], Callable[..
     """
     if not isinstance(example_state, tuple):
         return _load_number, _store_number
-    if not 1 <= len(example_state) <= len(_LOAD_TUPLE):
+    if not 1 <= len(example_state) <= MOST_FLOATS:
         raise ValueError(
-            f"The state of compiled dynamics must be a number or a tuple of 1 to {len(_LOAD_TUPLE)} floats, but has "
+            f"The state of compiled dynamics must be a number or a tuple of 1 to {MOST_FLOATS} floats, but has "
             f"{len(example_state)} entries: keep what does not change in the parameters."
         )
-    return _LOAD_TUPLE[len(example_state) - 1], _store_tuple
+    return _load_tuple(len(example_state)), _store_tuple
 
 
 def empty_places(n_envs: int, example_state: Any) -> np.ndarray:

@@ -183,10 +183,13 @@ class CompiledRollout(StepRollout):
     def _call(self, record: tuple[np.ndarray, np.ndarray], max_steps: int, max_episodes: int) -> None:
         self.control["max_steps"], self.control["max_episodes"] = max_steps, max_episodes
         arguments = self._arguments(record)
-        if self.dynamics.draws_from_words or threading.current_thread() is not threading.main_thread():
-            self._loop(*arguments)
-        else:
-            self._call_in_thread(arguments)
+        try:
+            if self.dynamics.draws_from_words or threading.current_thread() is not threading.main_thread():
+                self._loop(*arguments)
+            else:
+                self._call_in_thread(arguments)
+        except IndexError as error:
+            self.refuse_index(error, f"{self.model.own_functions()}, or the dynamics {type(self.dynamics).__name__},")
         status = int(self.control["status"][0])
         if status != loops.SOUND:
             self._refuse_status(status)

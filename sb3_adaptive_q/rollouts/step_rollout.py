@@ -131,7 +131,10 @@ class StepRollout:
         update, states, actions = self._update, self.states, self.actions
         tables, memory, learner, draws, considered = self.tables, self.memory, self.learner, self.draws, self.considered
         for i, transition in enumerate(self.transitions):
-            action = update(tables, memory, learner, draws, transition, i, considered)
+            try:
+                action = update(tables, memory, learner, draws, transition, i, considered)
+            except IndexError as error:
+                self.refuse_index(error, self.model.own_functions())
             if action < 0:
                 self.refuse(states[i], actions[i])
             states[i], actions[i] = transition[-1], action
@@ -211,6 +214,18 @@ class StepRollout:
             f"{action + self.first_action}, it gave {given}: please check it."
         )
 
+    @staticmethod
+    def refuse_index(error: IndexError, who: str) -> NoReturn:
+        """
+        :param error: what a function of the user's has raised
+        :param who: whose function it may be
+        :raises ValueError: always
+        """
+        raise ValueError(
+            f"{who} looked beyond the end of an array ({error}): please check it. A step size finds its cell at "
+            "`[step.row, step.column]`."
+        ) from error
+
     def _hand_over_episodes(self) -> None:
         """Pass the episodes that have just ended to the callbacks that record episodes."""
         ended = [i for i, done in enumerate(self.dones) if done]
@@ -238,7 +253,8 @@ class StepRollout:
                 self.refuse_reward(i, reward)
             next_state, terminated = start_state, done
             if done:
-                next_state = self.state_index.of(self.infos[i]["terminal_observation"])
+                if self.infos[i].get("terminal_observation") is not None:
+                    next_state = self.state_index.of(self.infos[i]["terminal_observation"])
                 terminated = not self.infos[i].get("TimeLimit.truncated", False)
             self.episode_returns[i] += reward
             self.episode_lengths[i] += 1

@@ -40,37 +40,24 @@ def scope_shape(scope: str, n_states: int, n_actions: int) -> tuple[int, int]:
     return {"pair": (n_states, n_actions), "state": (n_states, 1), "shared": (1, 1)}[scope]
 
 
-def _none(arrays, table):
+def _first_arrays(number: int) -> Callable[..., Any]:
+    """One table's part of the first arrays: machine code needs a function for each number of them."""
+    if number == 0:
+        return _nothing
+    others, last = _first_arrays(number - 1), number - 1
+
+    def first_arrays(arrays, table):
+        return others(arrays, table) + (arrays[last][table],)  # noqa: RUF005
+
+    return first_arrays
+
+
+def _nothing(arrays, table):
     return ()
 
 
-def _one(arrays, table):
-    return (arrays[0][table],)
-
-
-def _two(arrays, table):
-    return arrays[0][table], arrays[1][table]
-
-
-def _three(arrays, table):
-    return arrays[0][table], arrays[1][table], arrays[2][table]
-
-
-def _four(arrays, table):
-    return arrays[0][table], arrays[1][table], arrays[2][table], arrays[3][table]
-
-
-def _five(arrays, table):
-    return arrays[0][table], arrays[1][table], arrays[2][table], arrays[3][table], arrays[4][table]
-
-
-def _six(arrays, table):
-    return arrays[0][table], arrays[1][table], arrays[2][table], arrays[3][table], arrays[4][table], arrays[5][table]
-
-
-#: One table's part of the arrays, by their number: machine code needs a function for each
-_OF_TABLE = (_none, _one, _two, _three, _four, _five, _six)
-MOST_ARRAYS = len(_OF_TABLE) - 1
+#: The largest number of arrays of a step size
+MOST_ARRAYS = 6
 
 
 def _count_update(arrays, row, column):
@@ -116,7 +103,7 @@ def make_size(step_size: Callable[..., float], scope: str, counts: bool, n_array
     :param n_arrays: how many arrays there are, the counts included
     :return: the function that updates call; its arguments are those of :func:`scalar_size`
     """
-    cell, of_table = SCOPES[scope], _OF_TABLE[n_arrays]
+    cell, of_table = SCOPES[scope], _first_arrays(n_arrays)
     count_update: Callable[..., Any] = _count_update if counts else _count_nothing
     own_arrays = _after_counts if counts else _all
 
@@ -130,6 +117,20 @@ def make_size(step_size: Callable[..., float], scope: str, counts: bool, n_array
         return Step(t.state, t.action, row, column, count, value, next_value, td_error, progress, gamma, chosen)
 
     return size
+
+
+def make_clipped(rule: Callable[..., float], lower: float, upper: float) -> Callable[..., float]:
+    """
+    :param rule: forms the next scalar step size
+    :param lower: the least step size
+    :param upper: the largest step size
+    :return: the rule, clipped to these bounds
+    """
+
+    def clipped(mu, step, *parameters):
+        return clip_size(float(rule(mu, step, *parameters)), lower, upper)
+
+    return clipped
 
 
 def keep_mu(mu, step, *parameters):

@@ -11,17 +11,6 @@ from sb3_adaptive_q.step_sizes.step import Step, clip_size
 clip_rate = clip_size
 
 
-def hold_rate(mu: float, step: Step) -> float:
-    """
-    Leave μ as it is. This rule is in force where no method is chosen.
-
-    :param mu: μ_t
-    :param step: unused
-    :return: μ_t
-    """
-    return mu
-
-
 def constant_rate(mu: float, step: Step, beta: float) -> float:
     """
     Method 1 (Eq. 3, β1) and Method 2 (Eq. 4, β2): μ is a constant.
