@@ -102,10 +102,11 @@ class SavedAsData:
         """
         force_reset = check("force_reset", force_reset)
         saved = cls._read(path, custom_objects, print_system_info, allow_pickle)
-        chosen = {name: (custom_objects or {})[name] for name in _METHOD if name in (custom_objects or {})}
+        given = custom_objects or {}
+        chosen = {name: value for name, value in given.items() if name in _METHOD or _is_property(cls, name)}
         model = cls._build(saved, env, device, force_reset, chosen | kwargs)
-        if "lr_schedule" in (custom_objects or {}) and saved.method is None:
-            model._set_schedule((custom_objects or {})["lr_schedule"])
+        if "lr_schedule" in given and saved.method is None:
+            model._set_schedule(given["lr_schedule"])
         if "seed" not in kwargs and saved.training.get("num_timesteps", 0) > 0:
             model._seed_environments_anew()
         return model
@@ -142,7 +143,7 @@ class SavedAsData:
     ) -> SelfSavedAsData:
         """Build a model from the contents of a file, without the training that was running."""
         attributes, changes = dict(saved.attributes), _changes_of_method(kwargs)
-        properties = {name for name in changes if isinstance(inspect.getattr_static(cls, name, None), property)}
+        properties = {name for name in changes if _is_property(cls, name)}
         changes = _checked(cls, changes, {*properties, *attributes})
         with refusing(saved.name, "cannot be loaded"):
             _check_numbers(attributes, saved)
@@ -300,6 +301,10 @@ class SavedAsData:
                 raise ValueError(
                     f"The saved model has the function {function.path} as its `{name}`, which {remedy} set `model.{name}`."
                 )
+
+
+def _is_property(kind: type, name: str) -> bool:
+    return isinstance(inspect.getattr_static(kind, name, None), property)
 
 
 def _changes_of_method(kwargs: dict[str, Any]) -> dict[str, Any]:

@@ -83,6 +83,12 @@ def test_a_replaced_method_starts_from_its_own_rate(tmp_path):
     assert TabularQ.load(tmp_path / "model", learning_rate=0.5).mu == 0.5
 
 
+def test_counts_and_rates_can_be_replaced_by_custom_objects(tmp_path):
+    TabularQ("MlpPolicy", LAKE, seed=0).learn(100).save(tmp_path / "model")
+    loaded = TabularQ.load(tmp_path / "model", custom_objects={"num_timesteps": 0, "exploration_rate": 0.5})
+    assert (loaded.num_timesteps, loaded.exploration_rate) == (0, 0.5)
+
+
 def test_a_method_that_is_assigned_is_in_force_from_the_next_training():
     model = TabularQ("MlpPolicy", LAKE, method=1, seed=0).learn(100)
     model.method = 2

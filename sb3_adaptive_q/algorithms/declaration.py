@@ -20,7 +20,7 @@ class AlgorithmDeclaration:
     n_tables: ClassVar[int] = 1
     #: Whether an update changes one entry of ``q_table`` and nothing else, so that a refused one can be taken back
     updates_one_entry: ClassVar[bool] = True
-    #: Whether the next action is drawn from the table before the update
+    #: Whether the next action is drawn from the table before the update: ``was_exploratory`` then looks at that table
     chooses_before_update: ClassVar[bool] = False
 
     def update_function(self) -> Callable[..., Any]:

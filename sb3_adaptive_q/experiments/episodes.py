@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from sb3_adaptive_q import EpisodeSeriesCallback
+from sb3_adaptive_q.checks import MOST_STEPS
 from sb3_adaptive_q.experiments.learners import Learner
 
-#: Beyond any number of steps: the number of episodes ends the training
-NO_LIMIT = 2**62
 #: The episodes over which the paper's avg_100 is taken
 WINDOW = 100
 #: A run in numbers, and its series: lists of an entry per episode, the table row by row
@@ -25,7 +24,7 @@ def measure_episodes(recipe: Mapping[str, Any]) -> dict[str, list[Any]]:
     """
     model, method = Learner(**recipe["learner"]).make(recipe["seed"])
     series = EpisodeSeriesCallback()
-    model.learn(recipe["steps"] or NO_LIMIT, callback=[method, series], log_interval=None)  # type: ignore[arg-type]
+    model.learn(recipe["steps"] or MOST_STEPS, callback=[method, series], log_interval=None)  # type: ignore[arg-type]
     # They hold the model and the callback itself, and would keep both until the garbage collector comes by
     series.locals.clear()
     if not len(series.returns):

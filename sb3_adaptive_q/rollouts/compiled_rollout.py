@@ -11,6 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from sb3_adaptive_q.algorithms.td_update import Transition
 from sb3_adaptive_q.callbacks import Episodes
+from sb3_adaptive_q.checks import MOST_STEPS
 from sb3_adaptive_q.compiled import loops
 from sb3_adaptive_q.compiled.jit import CannotCompile, is_disabled, machine_code
 from sb3_adaptive_q.compiled.records import CONTROL, ENV, EPISODE
@@ -27,7 +28,6 @@ DEFAULT_INTERVAL = 1_000_000
 LONGEST_CALL = 0.05
 #: Steps of the first call, after which the speed is known
 FIRST_CALL = 10_000
-NO_LIMIT = 2**62
 
 
 class CompiledRollout(StepRollout):
@@ -232,7 +232,7 @@ class CompiledRollout(StepRollout):
         episodes_left = model._total_episodes - model._episode_num
         due = steps_until_due(callbacks, model.num_timesteps, self.n_envs)
         max_steps = max(min(self.interval, self._steps_left(), due), 1)
-        max_episodes = max(min(episodes_left, episodes_until_due(callbacks), NO_LIMIT), 1)
+        max_episodes = max(min(episodes_left, episodes_until_due(callbacks), MOST_STEPS), 1)
         return int(max_steps), int(max_episodes)
 
     def _read_environments(self) -> None:

@@ -6,13 +6,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from sb3_adaptive_q.checks import MOST_STEPS
 from sb3_adaptive_q.vec_env import cart_pole_dynamics  # registers the Cart Poles  # noqa: F401
 from sb3_adaptive_q.vec_env.dynamics import Dynamics, Grid, find_dynamics, registered_names
 from sb3_adaptive_q.vec_env.layers import Layers, peel
 from sb3_adaptive_q.vec_env.summed_rewards import SummedRewards
 from sb3_adaptive_q.vec_env.tabular_dynamics import TabularDynamics, has_table, steps_by_table
-
-NO_LIMIT = 2**62
 
 
 class CompiledEnv:
@@ -29,7 +28,7 @@ class CompiledEnv:
         if self.unwrapped.render_mode == "human":
             raise ValueError("render_mode='human' draws every step, but compiled code cannot draw: use LeanVecEnv to watch.")
         limit, discretizer = self.layers.limit, self.layers.discretizer
-        self.max_episode_steps = limit._max_episode_steps if limit else NO_LIMIT
+        self.max_episode_steps = limit._max_episode_steps if limit else MOST_STEPS
         self.dynamics = _dynamics_of(self.unwrapped)(self.unwrapped, Grid.of(discretizer) if discretizer else None)
         self._left: tuple[Any, Any, Any] | None = None
         self._rewards: Any = SummedRewards()
