@@ -45,11 +45,15 @@ def check_mask(mask: np.ndarray, shape: tuple[int, ...], where: str) -> np.ndarr
     :param shape: the shape that it must have, actions last
     :param where: the states that it belongs to, for the message
     :return: the mask as booleans
-    :raises ValueError: if it has another shape, or a row forbids every action
+    :raises ValueError: if it has another shape or other values, or a row forbids every action
     """
     if mask.shape != shape:
         raise ValueError(f"The action mask of {where} must have the shape {shape}, but has {mask.shape}.")
-    allowed = mask.astype(bool)
+    allowed = mask == 1
+    if not (allowed | (mask == 0)).all():
+        raise ValueError(
+            f"The action mask of {where} must be 1 for an action that is allowed and 0 for others, but is {mask}."
+        )
     if not allowed.any(axis=-1).all():
         raise ValueError(f"The action mask of {where} forbids every action: at least one must be allowed.")
     return allowed

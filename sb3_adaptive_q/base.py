@@ -19,7 +19,7 @@ from sb3_adaptive_q.checks import MOST_STEPS, check
 from sb3_adaptive_q.hyperparameters import record_hyperparameters, run_name
 from sb3_adaptive_q.learned_table import LearnedTable
 from sb3_adaptive_q.logs import record_logs
-from sb3_adaptive_q.one_at_a_time import SETTING_UP, OneAtATime, Training
+from sb3_adaptive_q.one_at_a_time import OneAtATime, Training
 from sb3_adaptive_q.policies import MlpPolicy, TabularQPolicy, count_actions
 from sb3_adaptive_q.prediction import Prediction
 from sb3_adaptive_q.random_numbers import first_counter
@@ -285,7 +285,7 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         if restart:
             self._next_actions = None
         self.episode_series = []
-        with SETTING_UP:
+        with self.setting_up:
             total_timesteps, callback = self._setup_learn(
                 total_timesteps, callback, reset_num_timesteps, tb_log_name or run_name(self, callback), progress_bar
             )

@@ -274,6 +274,8 @@ def method(number: int | str, **parameters: Any) -> LearningRateCallback:
     :return: the callback to pass to ``learn``
     :raises ValueError: if there is no such method, or it has no such parameter
     """
+    if isinstance(number, str) and number.isdecimal():
+        number = int(number)
     if isinstance(number, str):
         return StepSizeCallback(number, **parameters)
     if not _is_method_number(number):
@@ -321,8 +323,20 @@ class EpisodeSeriesCallback(BaseCallback):
         self._parts: list[Episodes] = []
 
     def _init_callback(self) -> None:
+        if not hasattr(self.model, "episode_series"):
+            raise ValueError(
+                f"{type(self).__name__} records the episodes of a tabular algorithm, but got a {type(self.model).__name__}."
+            )
         self._parts = []
-        self.model.episode_series.append(self)  # type: ignore[attr-defined]  # of a tabular algorithm
+        if self not in self.model.episode_series:  # a list of callbacks may have it twice
+            self.model.episode_series.append(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_parts": self._parts}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__()  # type: ignore[misc]
+        self._parts = state["_parts"]
 
     def add(self, episodes: Episodes) -> None:
         """

@@ -2,10 +2,7 @@
 
 import threading
 import weakref
-
-#: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do. SB3 also resets the
-#: environment then, which may let another model learn in the same thread
-SETTING_UP = threading.RLock()
+from typing import Any, ClassVar
 
 
 class Training:
@@ -15,6 +12,9 @@ class Training:
 class OneAtATime:
     """Mixin of :class:`sb3_adaptive_q.TabularAlgorithm`: it refuses to learn while it learns."""
 
+    #: Held while SB3 looks for a free folder for the log and makes it, as models in other threads may do. SB3 also resets the
+    #: environment then, which may let another model learn in the same thread
+    setting_up: ClassVar[Any] = threading.RLock()
     _learning: "weakref.ref[Training] | None"
 
     def _claim(self) -> Training:
@@ -23,7 +23,7 @@ class OneAtATime:
         taking the mark off, it ends with the call.
         """
         training = Training()
-        with SETTING_UP:
+        with self.setting_up:
             if self._learning is not None and self._learning() is not None:
                 raise RuntimeError(
                     "This model is learning already: a callback or another thread cannot let it learn once more."

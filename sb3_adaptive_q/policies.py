@@ -174,10 +174,7 @@ class TabularQPolicy(BasePolicy):
         if action_masks is not None:
             masks = np.asarray(action_masks)
             shape = rows.shape[1:] if masks.ndim == 1 and len(states) == 1 else rows.shape
-            allowed = check_mask(masks, shape, "`predict`")
-            if not np.array_equal(masks, allowed):
-                raise ValueError(f"`action_masks` must be 1 for an action that is allowed and 0 for others, but is {masks}.")
-            rows = np.where(allowed, rows, -np.inf)
+            rows = np.where(check_mask(masks, shape, "`predict`"), rows, -np.inf)
         elif ALLOWED in self._buffers:
             rows = np.where(getattr(self, ALLOWED).numpy()[states] > 0.0, rows, -np.inf)
         return choose(rows) + int(self.action_space.start)  # type: ignore[attr-defined]

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 from stable_baselines3.common.callbacks import EveryNTimesteps
 from stable_baselines3.common.logger import Figure as LoggedFigure
 
+from sb3_adaptive_q.checks import whole_number
 from sb3_adaptive_q.hyperparameters import tensorboard_outputs
 
 _DOTS_PER_INCH = 100
@@ -37,8 +38,7 @@ class TableImageCallback(EveryNTimesteps):
         # Imported here, because pictures need packages that learning does without
         from sb3_adaptive_q import plots  # noqa: F401
 
-        if every < 1:
-            raise ValueError(f"`every` must be at least 1 timestep, but got {every}.")
+        every = whole_number(1).apply("every", every)
         if isinstance(what, str):
             raise ValueError(f"`what` must be a tuple, such as ({what!r},), but got {what!r}.")
         super().__init__(every, callback=None)  # type: ignore[arg-type]

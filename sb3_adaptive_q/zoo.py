@@ -47,7 +47,10 @@ EVALUATION_LIMIT = 1000
 #: Errors of a mistake in an argument that RL Zoo evaluates as Python
 NOT_PYTHON = (NameError, SyntaxError)
 #: Errors of a mistake on the command line or in the YAML file, while an experiment is set up
-MISTAKES = (*NOT_PYTHON, AssertionError, AttributeError, ImportError, OSError, TypeError, ValueError, yaml.YAMLError)
+MISTAKES = (
+    *NOT_PYTHON, ArithmeticError, AssertionError, AttributeError, ImportError, LookupError, OSError, TypeError, ValueError,
+    gym.error.Error, yaml.YAMLError,
+)  # fmt: skip
 
 
 def register() -> None:
@@ -284,6 +287,9 @@ def check_entry(path: str, env_id: str, changes: dict[str, Any]) -> None:
             f"The entry {name} of {path} must hold hyperparameters, one `name: value` a line, among them a whole number as "
             f"`n_timesteps` and `policy: MlpPolicy`, but is {entries[name]!r}."
         ) from error
+    n_envs = needed.get("n_envs", 1)
+    if not (isinstance(n_envs, int) and n_envs >= 1):
+        raise ValueError(f"`n_envs` must be a whole number of at least 1, but is {n_envs!r}.")
 
 
 def parse_options(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -349,7 +355,8 @@ def train(arguments: list[str]) -> None:
         hint = (
             " (values of -params are Python expressions: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
         )
-        sys.exit(f"error: {error}{hint}")
+        told = repr(error) if isinstance(error, LookupError) else error  # whose text is the key alone
+        sys.exit(f"error: {told}{hint}")
 
 
 def enjoy(arguments: list[str]) -> None:

@@ -61,6 +61,10 @@ def plot_training(arguments: list[str]) -> None:
     if not plt.gca().lines:
         sys.exit("error: no training there has as many episodes as a point is the mean of: train longer, or give -w a number")
     if ours.output:
-        plt.savefig(ours.output)
-        print(f"The picture is in {ours.output}.")
+        picture = ours.output if ours.output.suffix else ours.output.with_suffix(".png")
+        try:
+            plt.savefig(picture)
+        except (OSError, ValueError) as error:
+            sys.exit(f"error: the picture cannot be written: {error}")
+        print(f"The picture is in {picture}.")
     plt.close()

@@ -342,7 +342,7 @@ class MaskedEnv(gym.Env):
 
     def info(self) -> dict[str, Any]:
         mask = self.mask(self.state)
-        return {} if mask is None else {"action_mask": np.asarray(mask, np.int8)}
+        return {} if mask is None else {"action_mask": np.asarray(mask)}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[int, dict[str, Any]]:
         super().reset(seed=seed)
@@ -445,6 +445,8 @@ class TestMasks:
             (lambda state: None, r'needs `info\["action_mask"\]` from every reset and step'),
             (lambda state: np.ones(2), r"must have the shape \(3,\), but has \(2,\)"),
             (lambda state: np.full(3, state != 5), "mask of state 5 forbids every action"),
+            (lambda state: np.array([0.0, -np.inf, 0.0]), "must be 1 for an action that is allowed and 0 for others, but is"),
+            (lambda state: np.array(["1", "0", "1"]), "must be 1 for an action that is allowed and 0 for others, but is"),
         ],
     )
     def test_a_bad_mask(self, mask: Callable[[int], Any], message: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -480,7 +482,7 @@ class TestPredict:
             model.predict(0, action_masks=[0, 0, 0])
         with pytest.raises(ValueError, match=r"must have the shape \(2, 3\), but has \(6,\)"):
             model.predict(np.array([0, 1]), action_masks=[1, 1, 0, 1, 0, 0])
-        with pytest.raises(ValueError, match="`action_masks` must be 1 for an action that is allowed"):
+        with pytest.raises(ValueError, match="The action mask of `predict` must be 1 for an action that is allowed"):
             model.predict(0, action_masks=[1, np.nan, 0])
 
     @pytest.mark.parametrize("exploration", EXPLORATIONS)

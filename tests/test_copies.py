@@ -9,7 +9,7 @@ import pytest
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
-from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv, TabularQ
+from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, LeanVecEnv, TabularQ
 
 LAKE = "FrozenLake-v1"
 
@@ -98,3 +98,21 @@ def test_a_method_that_is_assigned_is_in_force_from_the_next_training():
     assert model.learn(100, reset_num_timesteps=False).memory["visits"].sum() == 200  # the same method goes on
     model.method = model.method_kwargs = None
     assert (model.learn(100, reset_num_timesteps=False).mu, model.memory) == (model.learning_rate, {})
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_a_series_of_episodes_can_be_copied_and_comes_back_from_another_process(copied):
+    series = EpisodeSeriesCallback()
+    TabularQ("MlpPolicy", LAKE, seed=0).learn(1000, callback=[series, series])
+    theirs = copied(series)
+    assert len(theirs.returns) > 10 and theirs.lengths.sum() <= 1000  # though it was handed over twice
+    np.testing.assert_array_equal(theirs.returns, series.returns)
+    assert TabularQ("MlpPolicy", LAKE, seed=0).learn(1000, callback=theirs).num_timesteps == 1000
+
+
+def test_any_callback_can_be_copied_after_a_training():
+    callback = ResetOnTheWay()
+    model = TabularQ("MlpPolicy", LAKE, seed=0).learn(2000, callback=callback)
+    theirs = cloudpickle.loads(cloudpickle.dumps(callback))
+    assert theirs.locals["rollout"] is None
+    np.testing.assert_array_equal(theirs.model.q_table, model.q_table)

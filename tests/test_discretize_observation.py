@@ -243,6 +243,13 @@ def test_env_can_be_made_again_from_its_spec() -> None:
 # Dimensions left out, and edges of one's own
 
 
+@pytest.mark.parametrize("name", ["low", "high", "n_edges"])
+@pytest.mark.parametrize("value", ["ten", [1, 2, "a", 4], {"x": 1}, [[1], [2, 3], 4, 5]])
+def test_what_is_no_number(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be a number or a list of numbers, got"):
+        DiscretizeObservation(gym.make("CartPole-v1"), **{"n_edges": 10, "low": -1.0, "high": 1.0, name: value})
+
+
 def test_dimensions_without_edges_are_left_out() -> None:
     """The bounds of Cart Pole's space are infinite in the second dimension, which is one that is left out."""
     wrapper = DiscretizeObservation(gym.make("CartPole-v1"), [0, 0, 5, 11], [None, None, -0.4, -0.9], [9.0, -9.0, 0.4, 0.9])

@@ -1,12 +1,15 @@
 """The league's protocol as shipped: grids, budgets, seeds; the choice of settings; and what is refused."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from sb3_adaptive_q.experiments import DesignError
-from sb3_adaptive_q.experiments.league.command import main
+from sb3_adaptive_q.experiments.league.command import LeagueOptions, main
+from sb3_adaptive_q.experiments.league.greedy_episodes import player
 from sb3_adaptive_q.experiments.league.plan import (
     Runs,
     anytime,
@@ -18,6 +21,7 @@ from sb3_adaptive_q.experiments.league.plan import (
 )
 from sb3_adaptive_q.experiments.league.remarks import design_remark
 from sb3_adaptive_q.experiments.league.settings import LeagueSettings, Task, Track
+from sb3_adaptive_q.experiments.options import options_of, parse
 
 OWN = "tests.helpers.own_rules:"
 #: Steps of a run, as the protocol prints them
@@ -232,6 +236,10 @@ def test_environment_without_a_reference_is_judged_by_rollouts_on_a_scale() -> N
         (["--scale", "taxi"], "A scale is environment=low,high"),
         (["--scale", "taxi=8,1"], "low below high"),
         (["--scale", "taxy=1,8"], "Did you mean 'taxi'"),
+        (["--scale", "taxi=1,8", "--scale", "taxi=1,9"], "--scale taxi=... is given more than once"),
+        (["--env", f"{OWN}mirrored_lake", "--steps", "50"], "MirroredActions changes actions, rewards or observations"),
+        (["--env", f"{OWN}broken"], "cannot be made: RuntimeError: no such luck"),
+        (["--env", "Chain-v0", "--steps", "24"], "A run of 2 steps is too short for 5 checkpoints"),
         (["--sweep", "alpha"], "A sweep is name=value,value"),
         (["--sweep", "alpha=0.1,0.2"], "The sweep of alpha would change nothing"),
         (["--quik"], "Perhaps you meant: --quick"),
@@ -253,3 +261,23 @@ def test_a_quick_look_draws_fewer_bootstrap_samples() -> None:
     assert (whole.bootstrap_samples, quick.bootstrap_samples) == (50_000, 2000)
     assert LeagueSettings(quick=True, resamples=200).bootstrap_samples == 200
     assert not design_remark(whole) and "1000 bootstrap samples" in design_remark(LeagueSettings(resamples=1000))
+
+
+def test_a_league_in_which_every_run_failed_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    few = ["--quick", "--runs", "2", "--tuning-runs", "2", "--resamples", "20", "--workers", "1", "--no-progress"]
+    arguments = ["--env", "Pendulum-v1", "--scale", "Pendulum-v1=-1200,-200", "--methods", "constant", "--tracks", "B", *few]
+    assert main(["--output", str(tmp_path / "league"), "--steps", "50", *arguments]) == 1
+    assert re.search("Every run of track B failed.*The first one: ValueError: A tabular algorithm n", capsys.readouterr().err)
+
+
+def test_the_record_of_a_league_is_a_configuration() -> None:
+    settings = LeagueSettings(
+        environments=("taxi", "lake4"), scale=("taxi=1,8", "lake4=0,1"), sweep=("speed=0.1,0.2",), runs=7
+    )
+    options = options_of(yaml.safe_load(yaml.safe_dump(settings.as_data())))
+    assert parse(LeagueOptions, "league", options).design == settings
+
+
+def test_greedy_episodes_end_where_the_environment_has_no_limit() -> None:
+    """gymnasium's cliff without a limit: upwards from the start against the wall, at -1 a step."""
+    assert player("CliffWalking-v1", {})(np.zeros((48, 4))).tolist() == [-1000.0] * 20

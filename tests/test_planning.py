@@ -5,10 +5,14 @@ from itertools import product
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.wrappers import TransformReward
 from helpers.decision_processes import policies, processes, solved, under
+from helpers.own_rules import mirrored_lake
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stable_baselines3.common.monitor import Monitor
 
+from sb3_adaptive_q.envs import TableEnv
 from sb3_adaptive_q.planning import (
     TabularModel,
     action_values,
@@ -258,6 +262,12 @@ class TestBadInput:
         with pytest.raises(ValueError, match="changes with time"):
             value_iteration(gym.make("MovingGoal-v0"), 0.9)
 
+    def test_a_wrapper_that_changes_what_the_table_says(self):
+        for wrapped in (mirrored_lake(), TransformReward(gym.make("FrozenLake-v1"), lambda reward: -reward)):
+            with pytest.raises(ValueError, match=r"changes actions, rewards or observations, so the table of FrozenLakeEnv"):
+                value_iteration(Monitor(wrapped), 0.9)
+        assert value_iteration(Monitor(gym.make("FrozenLake-v1")), 0.99)[0] == pytest.approx(0.542, abs=1e-3)
+
     @pytest.mark.parametrize(
         ("outcomes", "message"),
         [
@@ -280,6 +290,16 @@ class TestBadInput:
             TabularModel(STAY_OR_LEAVE[0], [0.5, 0.5])
         with pytest.raises(ValueError, match="at least one state"):
             TabularModel({}, [])
+        with pytest.raises(ValueError, match=r"P\[1\] has more actions than P\[0\]"):
+            TabularModel([{0: [(1.0, 1, 0.0, False)]}, STAY_OR_LEAVE[0][0]], [1.0, 0.0])
+        with pytest.raises(ValueError, match=r"P\[0\] is missing: the table must have the states 0 to 0"):
+            TabularModel({1: {0: [(1.0, 1, 0.0, True)]}}, [1.0])
+
+    @pytest.mark.parametrize("start", [[1.0], [0.5], None])
+    def test_an_environment_of_a_wrong_table(self, start):
+        rows = [(0.2, 0, 1.0, True), (0.8 if start != [1.0] else 0.1, 0, 0.0, True)]
+        with pytest.raises(ValueError, match=r"sum to 1|probabilities in the start distribution"):
+            TableEnv({0: {0: rows}}, start)
 
     @pytest.mark.parametrize("policy", [[2], [-1], [0, 0], [0.5], [[0.5, 0.4]], [[1.5, -0.5]], [[1.0, 0.0, 0.0]]])
     def test_a_wrong_policy(self, policy):
@@ -289,8 +309,12 @@ class TestBadInput:
     def test_numbers_out_of_range(self):
         with pytest.raises(ValueError, match="gamma"):
             value_iteration(STAY_OR_LEAVE, 1.5)
-        with pytest.raises(ValueError, match="horizon"):
-            value_iteration(STAY_OR_LEAVE, 0.9, -1)
+        for gamma in (None, "0.9", np.nan):
+            with pytest.raises(ValueError, match="gamma must be between 0 and 1"):
+                value_iteration(STAY_OR_LEAVE, gamma)
+        for horizon in (-1, 1.5, "3", np.inf):
+            with pytest.raises(ValueError, match="horizon must be a whole number"):
+                value_iteration(STAY_OR_LEAVE, 0.9, horizon)
         with pytest.raises(ValueError, match="epsilon"):
             epsilon_greedy_optimum(STAY_OR_LEAVE, 2.0)
 

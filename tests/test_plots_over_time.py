@@ -85,6 +85,8 @@ class TestCurves:
             ({"a": []}, {"window": 1}, "no runs of 'a'"),
             ({"a": [[1.0, 2.0]]}, {"window": 3}, "'a' has 2 episodes, too few for a mean over `window`=3"),
             ({"a": [[1.0]]}, {"window": 0}, "at least 1 episode, but got 0"),
+            ({"a": [[1.0]]}, {"window": 1.5}, "at least 1 episode, but got 1.5"),
+            ({"a": EpisodeSeriesCallback()}, {}, "must have a list of runs for 'a', .* please put it into a list"),
             ({"a": [[1.0]]}, {"window": 1, "against": "hours"}, '"episodes" or "timesteps", but got \'hours\''),
             ({"a": [[1.0]]}, {"window": 1, "against": "timesteps"}, "needs the lengths of the episodes"),
             ({"a": [[1.0]]}, {"window": 1, "center": "median"}, '"mean" or "iqm"'),
@@ -139,8 +141,16 @@ class TestFilm:
             animate(guide, "FrozenLake-v1", tmp_path / "lake.mp4")
         with pytest.raises(ValueError, match="a single environment"):
             animate(guide, make_vec_env("FrozenLake-v1"), tmp_path / "lake.gif")
-        with pytest.raises(ValueError, match="must be positive, but got 0 and 4"):
+        with pytest.raises(ValueError, match=r"`max_steps` must be at least 1, .* but got 0 and 4"):
             animate(guide, "FrozenLake-v1", tmp_path / "lake.gif", max_steps=0)
+        with pytest.raises(ValueError, match=r"`frames_per_second` from 0.01 to 100, but got 200 and 0.001"):
+            animate(guide, "FrozenLake-v1", tmp_path / "lake.gif", frames_per_second=0.001)
+        with pytest.raises(ValueError, match="`path` must lie in a folder that exists"):
+            animate(guide, "FrozenLake-v1", tmp_path / "none" / "lake.gif")
+        with pytest.raises(
+            ValueError, match=r"spaces of the model, Discrete\(16\) .* but has Discrete\(64\) .* wrap it as for"
+        ):
+            animate(guide, "FrozenLake8x8-v1", tmp_path / "lake.gif")
         with pytest.raises(ValueError, match="TableEnv has no map: please make it with render_mode='rgb_array'"):
             animate(np.zeros((30, 4)), "Garnet-v0", tmp_path / "lake.gif")
 
@@ -233,7 +243,7 @@ class TestTensorBoard:
         np.testing.assert_array_equal(plain.q_table, watched.q_table)
 
     def test_bad_input(self, tmp_path):
-        with pytest.raises(ValueError, match="at least 1 timestep, but got 0"):
+        with pytest.raises(ValueError, match="`every` must be a whole number of at least 1, but got 0"):
             TableImageCallback(every=0)
         with pytest.raises(ValueError, match=r"must be a tuple, such as \('q',\), but got 'q'"):
             TableImageCallback(what="q")

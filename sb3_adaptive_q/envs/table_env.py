@@ -8,6 +8,7 @@ from gymnasium import spaces
 from gymnasium.envs.toy_text.utils import categorical_sample
 
 from sb3_adaptive_q.envs.tables import TABLES, Start, Table
+from sb3_adaptive_q.envs.tabular_model import TabularModel
 
 Step = tuple[int, float, bool, bool, dict[str, Any]]
 
@@ -22,6 +23,7 @@ class TableEnv(gym.Env[Any, Any]):
         count from 0, and every state has the same actions
     :param start: the probability of every state to be the first of an episode
     :param render_mode: ``None``; there is nothing to see
+    :raises ValueError: as :class:`sb3_adaptive_q.planning.TabularModel`
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
@@ -29,6 +31,7 @@ class TableEnv(gym.Env[Any, Any]):
     compile_by_table = True
 
     def __init__(self, table: Table, start: Start, render_mode: str | None = None) -> None:
+        TabularModel(table, start)  # which checks both
         self.P = table
         self.initial_state_distrib = np.asarray(start, np.float64)
         self.observation_space = spaces.Discrete(len(table))

@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from sb3_adaptive_q import ALGORITHMS, CompiledVecEnv, EpisodeSeriesCallback, TabularAlgorithm, TabularQ, learn_many
+from sb3_adaptive_q.experiments.errors import DesignError
 from sb3_adaptive_q.experiments.options import parse, report_errors
 from sb3_adaptive_q.experiments.statistics import bootstrap, interval, mean
 from sb3_adaptive_q.experiments.text import format_estimate, markdown_table
@@ -236,8 +237,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def benchmark() -> None:
         options = parse(Options, COMMAND, sys.argv[1:] if arguments is None else arguments)
+        if options.runs < 2:
+            raise DesignError(f"--runs must be at least 2, for an interval, but is {options.runs}.")
+        if options.output.is_dir() or not options.output.parent.is_dir():
+            raise DesignError(f"{options.output} cannot be written: give --output a file in a folder that exists.")
         page = make_page([Task.of(env_id) for env_id in ENVIRONMENTS], options.runs)
-        options.output.parent.mkdir(parents=True, exist_ok=True)
         options.output.write_text(page, encoding="utf-8")
         print(f"The page is {options.output}.")
 

@@ -29,7 +29,12 @@ def make_env(name: str, **arguments: Any) -> gym.Env:
     :raises DesignError: if there is no such environment
     """
     if is_import_path(name):
-        env = load_object(name)(**arguments)
+        try:
+            env = load_object(name)(**arguments)
+        except DesignError:
+            raise
+        except Exception as error:  # a function of the user's may raise anything
+            raise DesignError(f"The environment {name} cannot be made: {type(error).__name__}: {error}") from error
         if not isinstance(env, gym.Env):
             raise DesignError(f"{name} must make a gymnasium environment, but made a {type(env).__name__}.")
     else:

@@ -43,6 +43,8 @@ class Learner(NamedTuple):
         algorithm, callback = algorithm_class(self.algorithm), make_method(self.method, self.parameters)
         try:
             model = algorithm("MlpPolicy", env or reused_vec_env(self.environment), seed=seed, **self.settings)
+        except DesignError:
+            raise
         except (TypeError, ValueError) as error:
             raise DesignError(f"{self.algorithm} cannot be made in {self.environment}: {error}") from error
         model.set_logger(silent_logger())

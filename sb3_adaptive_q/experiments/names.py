@@ -34,9 +34,10 @@ def load_object(path: str) -> Any:
         sys.path.append(os.getcwd())
     try:
         return getattr(importlib.import_module(module_name), name)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (Exception, SystemExit) as error:  # a module of the user's may raise anything
         raise DesignError(
-            f"Cannot import {path!r} ({error}): give `module:name`, with the module in the working directory or installed."
+            f"Cannot import {path!r} ({type(error).__name__}: {error}): "
+            "give `module:name`, with the module in the working directory or installed."
         ) from error
 
 

@@ -41,15 +41,16 @@ def options_of(values: Mapping[str, Any]) -> list[str]:
     """
     options = []
     for name, value in values.items():
-        option = f"--{name.replace('_', '-')}"
+        option = f"--{str(name).replace('_', '-')}"
         if name == "versions" or value is None:  # what an experiment's own record has beside its design
             continue
-        if name == "sweep":
-            options += [part for each in value for part in (option, str(each))]
+        listed = value if isinstance(value, list) else [value]
+        if name in ("sweep", "scale"):  # options that are repeated
+            options += [part for each in listed for part in (option, str(each))]
         elif isinstance(value, bool):
             options.append(option if value else f"--no-{option[2:]}")
         else:
-            options += [option, *map(str, value if isinstance(value, list) else [value])]
+            options += [option, *map(str, listed)]
     return options
 
 

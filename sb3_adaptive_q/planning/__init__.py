@@ -23,7 +23,7 @@ from sb3_adaptive_q.planning.policies import (
     uniform_policy,
 )
 from sb3_adaptive_q.planning.references import Reference, reference
-from sb3_adaptive_q.planning.tabular_model import TabularModel
+from sb3_adaptive_q.envs.tabular_model import TabularModel
 
 __all__ = [
     "Reference",

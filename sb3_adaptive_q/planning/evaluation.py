@@ -1,16 +1,18 @@
 """Values and returns by dynamic programming."""
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from sb3_adaptive_q.planning.sweeps import sweep_all, sweep_reached
-from sb3_adaptive_q.planning.tabular_model import Array, TabularModel
+from sb3_adaptive_q.envs.tabular_model import Array, TabularModel
 
 #: How exact values are that have no horizon, in units of the largest value or of 1
 ACCURACY = 1e-12
 #: What rounding leaves of a change between two sweeps, in the same units
 _ROUNDING = 4e-16
+_NUMBERS = (int, float, np.number)
 _MOST_SWEEPS = 1_000_000
 _MOST_SWEEPS_FOR_GAIN = 100_000
 
@@ -23,7 +25,7 @@ def value_iteration(source: Any, gamma: float, horizon: int | None = None) -> Ar
     :param gamma: the discount factor, 0 to 1
     :param horizon: the steps that are left, where the best action may depend on them; ``None``: no end but termination
     :return: the values, of shape (n_states,); without a horizon exact to 1e-12 of the largest, or of 1
-    :raises ValueError: if there is no table, an argument is out of range, or the values without a horizon are infinite
+    :raises ValueError: if there is no table, an argument is out of range, or the values without a horizon do not converge
     """
     model = TabularModel.of(source)
     return solve(model, model.rows, gamma, horizon)
@@ -40,7 +42,7 @@ def policy_evaluation(source: Any, policy: Any, gamma: float, horizon: int | Non
     :param horizon: the steps that are left; ``None``: no end but termination
     :return: the values, of shape (n_states,); without a horizon exact to 1e-12 of the largest, or of 1
     :raises ValueError: if there is no table, the policy does not fit it, an argument is out of range, or the values
-        without a horizon are infinite
+        without a horizon do not converge
     """
     model, rows = _under(TabularModel.of(source), policy)
     return solve(model, rows.reshape(-1, 1), gamma, horizon)
@@ -137,22 +139,23 @@ def solve(model: TabularModel, rows: Array, gamma: float, horizon: int | None, e
     return values
 
 
-def _limits(gamma: float, horizon: int | None) -> tuple[int, float]:
+def _limits(gamma: Any, horizon: Any) -> tuple[int, float]:
     """How many sweeps to make at most, and the change that is small enough to stop earlier."""
-    if not 0.0 <= gamma <= 1.0:
+    if not (isinstance(gamma, _NUMBERS) and 0.0 <= gamma <= 1.0):
         raise ValueError(f"gamma must be between 0 and 1, but is {gamma!r}.")
     if horizon is None:
         # Of a contraction by gamma, the distance to the fixed point is at most gamma / (1 - gamma) of the last change
         return _MOST_SWEEPS, max(ACCURACY * (1.0 - gamma) / max(gamma, 0.5), _ROUNDING)
-    if horizon < 0 or horizon != int(horizon):
+    if not (isinstance(horizon, _NUMBERS) and isfinite(horizon) and horizon >= 0 and horizon == int(horizon)):
         raise ValueError(f"The horizon must be a whole number of steps, at least 0, or None, but is {horizon!r}.")
     return int(horizon), 0.0  # where nothing changes, no later sweep will
 
 
 def _check_convergence(change: float, smallest_change: float, gamma: float) -> None:
-    if change > smallest_change:
+    if not change <= smallest_change:  # nor where it is not a number
         raise ValueError(
-            f"The values do not converge with gamma = {gamma}: episodes that may never end need a gamma below 1 or a horizon."
+            f"The values do not converge with gamma = {gamma} within {_MOST_SWEEPS} sweeps, because episodes may never end "
+            "or are very long: use a smaller gamma, or a horizon."
         )
 
 

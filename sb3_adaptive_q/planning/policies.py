@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sb3_adaptive_q.planning.evaluation import solve, value_iteration
-from sb3_adaptive_q.planning.tabular_model import Array, TabularModel
+from sb3_adaptive_q.envs.tabular_model import Array, TabularModel
 
 #: Action values that differ by less, in units of the largest or of 1, are ties that rounding has broken
 _TIE = 1e-9

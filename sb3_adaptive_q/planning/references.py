@@ -8,7 +8,7 @@ import gymnasium as gym
 from sb3_adaptive_q.envs.catalogue import PROBLEMS
 from sb3_adaptive_q.planning.evaluation import expected_return, optimal_return
 from sb3_adaptive_q.planning.policies import uniform_policy
-from sb3_adaptive_q.planning.tabular_model import TabularModel
+from sb3_adaptive_q.envs.tabular_model import TabularModel
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sb3_adaptive_q.compiled.jit import as_python, is_disabled, machine_code
-from sb3_adaptive_q.planning.tabular_model import Array, TabularModel
+from sb3_adaptive_q.envs.tabular_model import Array, TabularModel
 
 #: After how many sweeps to see whether the values of reached states still change, which takes half of a sweep
 _CHECKED_EVERY = 16

@@ -20,6 +20,8 @@ from sb3_adaptive_q.state_index import make_state_index
 
 #: Seconds for which the last picture stays
 _LAST = 1.5
+#: Pictures per second, which a GIF file counts in hundredths of a second
+SLOWEST, FASTEST = 0.01, 100
 _DOTS_PER_INCH = 100
 
 
@@ -52,9 +54,20 @@ def animate(
         raise ValueError(f"`path` must end in .gif, but got {path}.")
     if isinstance(env, VecEnv):
         raise ValueError("`animate` plays in a single environment: please give a gymnasium environment, or its id.")
-    if max_steps < 1 or frames_per_second <= 0:
-        raise ValueError(f"`max_steps` and `frames_per_second` must be positive, but got {max_steps} and {frames_per_second}.")
+    if not (max_steps >= 1 and SLOWEST <= frames_per_second <= FASTEST):
+        raise ValueError(
+            f"`max_steps` must be at least 1, and `frames_per_second` from {SLOWEST} to {FASTEST}, but got {max_steps} and "
+            f"{frames_per_second}."
+        )
+    if not path.parent.is_dir():
+        raise ValueError(f"`path` must lie in a folder that exists, but there is no {path.parent}.")
     playground = _make(env) if isinstance(env, str) else env
+    spaces = playground.observation_space, playground.action_space
+    if hasattr(model, "observation_space") and spaces != (model.observation_space, model.action_space):
+        raise ValueError(
+            f"`env` must have the spaces of the model, {model.observation_space} and {model.action_space}, but has "
+            f"{spaces[0]} and {spaces[1]}: please wrap it as for learning."
+        )
     try:
         images = [Image.fromarray(frame) for frame in _play(model, playground, max_steps, deterministic, seed)]
     except DependencyNotInstalled as error:

@@ -94,7 +94,7 @@ def find_map(
     :raises ValueError: if ``passenger`` or ``destination`` does not fit, or ``moves`` is missing or does not fit
     """
     inner: Any = None if env is None else env.unwrapped
-    if isinstance(inner, TaxiEnv):
+    if isinstance(inner, TaxiEnv) and n_states == inner.observation_space.n:  # type: ignore[attr-defined]
         return _taxi_map(inner, *_taxi_places(passenger, destination))
     if passenger is not None or destination is not None:
         raise ValueError("`passenger` and `destination` are Taxi's: please leave them out for other environments.")
@@ -178,7 +178,7 @@ def _moves(inner: Any) -> tuple[tuple[int, int], ...]:
         return _LAKE_MOVES
     if isinstance(inner, CliffWalkingEnv):
         return tuple((row, column) for row, column in (POSITION_MAPPING[action] for action in range(4)))
-    moves = getattr(inner, "moves", None) or getattr(_table(inner), "moves", None)
+    moves = getattr(inner, "moves", getattr(_table(inner), "moves", None))
     if moves is None or len(moves) != inner.action_space.n:
         raise ValueError(
             f"{type(inner).__name__} has a map but does not say where its actions lead: give it the attribute `moves`, a pair "

@@ -68,10 +68,13 @@ def plot_learning_curves(
     return ax
 
 
-def _check(runs: Mapping[str, Iterable[Any]], window: int, against: str, center: str, confidence: float) -> None:
+def _check(runs: Any, window: Any, against: str, center: str, confidence: float) -> None:
     if not hasattr(runs, "items") or not runs:
         raise ValueError(f"`runs` must be a dict from labels to lists of runs, but got {runs!r}.")
-    if window < 1:
+    for label, group in runs.items():
+        if not isinstance(group, Iterable) or isinstance(group, str):
+            raise ValueError(f"`runs` must have a list of runs for {label!r}, but got {group!r}: please put it into a list.")
+    if not (isinstance(window, int | np.integer) and window >= 1):
         raise ValueError(f"`window` must be at least 1 episode, but got {window}.")
     if against not in ("episodes", "timesteps"):
         raise ValueError(f'`against` must be "episodes" or "timesteps", but got {against!r}.')

@@ -65,6 +65,10 @@ class StepRollout:
         # A memoryview gives Python's integers, which machine code takes faster than NumPy's
         self.actions: Any = memoryview(model._next_actions)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A rollout belongs to a training that runs: a copy of a callback, which knows it by a variable, has ``None``."""
+        return type(None), ()
+
     def take_choices(self) -> None:
         """Fetch the machine code for the model's algorithm and method, which may change between two steps."""
         model = self.model

@@ -220,7 +220,12 @@ def _check_alone(**even: Any) -> None:
 
 def _per_dimension(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> list[Any]:
     """Spread a scalar over all dimensions, or check that there is one value for each."""
-    values = np.asarray(value)
+    try:
+        values = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        values = np.asarray(value, dtype=object)
+    if values.dtype.kind not in "buif":
+        raise ValueError(f"{name} must be a number or a list of numbers, got {value!r}.")
     size = math.prod(shape)
     if values.ndim == 0:
         return [values.item()] * size
@@ -257,7 +262,10 @@ def _edge_counts(n_edges: int | Sequence[int], shape: tuple[int, ...]) -> list[i
 
 def _bounds(name: str, value: npt.ArrayLike | None, space_bounds: npt.NDArray[Any], counts: list[int]) -> list[float]:
     """Take the given bounds, or those of the space, as Python floats, one per dimension. A dimension left out may have any."""
-    given = space_bounds if value is None else np.asarray(value, dtype=np.float64)
+    try:
+        given = space_bounds if value is None else np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a number or a list of numbers, got {value!r}.") from error
     bounds = [float(bound) for bound in _per_dimension(name, given, space_bounds.shape)]
     bad = [dimension for dimension, bound in enumerate(bounds) if counts[dimension] and not math.isfinite(bound)]
     if bad:

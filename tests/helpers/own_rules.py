@@ -54,3 +54,20 @@ class CountingEnv(gym.Env):
     def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
         self.state += 1
         return self.state, float(action), self.state == 2, False, {}
+
+
+class MirroredActions(gym.ActionWrapper[Any, Any, Any]):
+    """Left is right, and up is down: what a transition table says no longer holds."""
+
+    def action(self, action: int) -> int:
+        return 3 - int(action)
+
+
+def mirrored_lake() -> gym.Env:
+    """A lake whose transition table is not the agent's."""
+    return MirroredActions(make_lake())
+
+
+def broken() -> gym.Env:
+    """Cannot be made."""
+    raise RuntimeError("no such luck")

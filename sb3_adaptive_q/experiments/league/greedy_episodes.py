@@ -6,15 +6,19 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
+from gymnasium.wrappers import TimeLimit
+from stable_baselines3.common.env_util import make_vec_env
 
 from sb3_adaptive_q import CompiledVecEnv, EpisodeSeriesCallback, TabularQ
 from sb3_adaptive_q.compiled.jit import machine_code
-from sb3_adaptive_q.experiments.environments import reused_vec_env
+from sb3_adaptive_q.experiments.environments import make_env, reused_vec_env
 from sb3_adaptive_q.experiments.learners import silent_logger
 from sb3_adaptive_q.random_numbers import read_pcg64
 
 #: Episodes of a greedy policy, and the seed that they always have
 EPISODES, SEED = 20, 20_000
+#: The limit of steps of these episodes, if the environment has none. A greedy policy may walk against a wall for ever
+EPISODE_LIMIT = 1000
 
 Play = Callable[[np.ndarray], np.ndarray]
 
@@ -25,13 +29,17 @@ def player(environment: str, arguments: dict[str, Any]) -> Play:
     """
     :param environment: the name of an environment
     :param arguments: for it
-    :return: a function from a table to the returns of ``EPISODES`` episodes of its greedy policy, which start alike each time;
-        one for each thread, with an environment of its own
+    :return: a function from a table to the returns of ``EPISODES`` episodes of its greedy policy, which start alike each time
+        and end after ``EPISODE_LIMIT`` steps where the environment has no limit; one for each thread, with an environment of
+        its own
     """
     made: dict[str, Play] = _of_thread.__dict__
     key = str((environment, sorted(arguments.items())))
     if key not in made:
         env = reused_vec_env(environment, purpose="rollouts", **arguments)
+        if not env.env_is_wrapped(TimeLimit)[0]:
+            kind: Any = type(env)
+            env = make_vec_env(lambda: TimeLimit(make_env(environment, **arguments), EPISODE_LIMIT), vec_env_cls=kind)
         if isinstance(env, CompiledVecEnv) and env.compile()[0].dynamics.draws_from_words:
             made[key] = _compiled_player(env)
         else:

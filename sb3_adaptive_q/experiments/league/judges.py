@@ -51,7 +51,9 @@ def control_judge(recipe: Mapping[str, Any], arguments: dict[str, Any], env: Vec
         def score_of(returns: np.ndarray) -> float:
             return float((returns.mean() - low) / (high - low))
 
-        return Judge(lambda table, step: score_of(play(table)), score_of, (high - low) / (1.0 - gamma))
+        return Judge(
+            lambda table, step: score_of(play(table)), score_of, (high - low) / (1.0 - gamma) if gamma < 1.0 else np.inf
+        )
     greedy = _GreedyReturn(recipe, arguments, env, gamma)
     return Judge(greedy.score, greedy.online, greedy.largest_value)
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import pandas as pd
 
+from sb3_adaptive_q.experiments.errors import ExperimentError
 from sb3_adaptive_q.experiments.league.analysis import Places, Played, chosen_places, runs_frame
 from sb3_adaptive_q.experiments.league.plan import all_places, cells_of, read_runs
 from sb3_adaptive_q.experiments.league.settings import SELECTION, LeagueSettings, Track
@@ -44,6 +45,7 @@ def play(settings: LeagueSettings, track: Track, folder: ResultFolder, execution
     :param folder: of the league
     :param execution: how to carry it out
     :return: the track with all its runs
+    :raises ExperimentError: if every run failed
     """
     tuning = _run(settings, track, all_places(track), "tuning", folder, execution)
     chosen = chosen_places(track, tuning)
@@ -54,6 +56,11 @@ def play(settings: LeagueSettings, track: Track, folder: ResultFolder, execution
         for k, setting in enumerate(row)
     }
     evaluation = _run(settings, track, places, "evaluation", folder, execution)
+    if all(len(runs.failures) == len(runs.scores) for runs in evaluation.values()):
+        reason = next(runs.failures[0] for runs in evaluation.values())
+        raise ExperimentError(
+            f"Every run of track {track.name} failed, so that nothing can be compared. The first one: {reason}"
+        )
     return Played(track, tuning, chosen, evaluation)
 
 

@@ -13,6 +13,7 @@ import yaml
 from sb3_adaptive_q import ALGORITHMS
 from sb3_adaptive_q.checks import LEAGUE
 from sb3_adaptive_q.envs.catalogue import PROBLEMS
+from sb3_adaptive_q.envs.tabular_model import changing_wrapper
 from sb3_adaptive_q.experiments.design import check_options, check_selection, grid, parse_sweep
 from sb3_adaptive_q.experiments.environments import make_env
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
@@ -233,12 +234,12 @@ class LeagueSettings:
         )
 
     def _budget(self, steps: int) -> int:
-        data = league_data()
-        return steps // data["quick"]["steps_divided_by"] if self.quick else steps
+        return steps // league_data()["quick"]["steps_divided_by"] if self.quick else steps
 
     def _check_sweeps(self) -> None:
         own = [method for method in self.methods if method not in league_data()["grids"]]
         taken = sorted(set().union(*map(method_parameters, own)))
+        _check_once("sweep", [name for name, _ in map(parse_sweep, self.sweep)])
         for name, _ in map(parse_sweep, self.sweep):
             if name not in taken:
                 raise DesignError(
@@ -248,6 +249,7 @@ class LeagueSettings:
 
     def _scales(self) -> dict[str, tuple[float, float]]:
         scales = {}
+        _check_once("scale", [text.rpartition("=")[0] for text in self.scale])
         for text in self.scale:
             name, _, ends = text.rpartition("=")
             try:
@@ -261,8 +263,22 @@ class LeagueSettings:
 
     def _check_judged(self, task: Task) -> bool:
         """Whether the values of a task are known for all time; an error if even its policies cannot be judged."""
-        env: Any = make_env(task.environment, **task.arguments).unwrapped
-        has_table = hasattr(env, "P") and hasattr(env, "initial_state_distrib")
+        wrapped = make_env(task.environment, **task.arguments)
+        if task.steps < self.checkpoints:
+            raise DesignError(
+                f"A run of {task.steps} steps is too short for {self.checkpoints} checkpoints: please give more --steps"
+                f"{', of which --quick takes a tenth' if self.quick else ''}."
+            )
+        env: Any = wrapped.unwrapped
+        wrapper = changing_wrapper(wrapped)
+        has_table = hasattr(env, "P") and hasattr(env, "initial_state_distrib") and wrapper is None
+        if wrapper is not None and hasattr(env, "P") and not task.scale:
+            raise DesignError(
+                f"The best policy of {task.name} is not known: {type(wrapper).__name__} changes actions, rewards or "
+                "observations, so its transition table is not what an agent learns from. Leave the wrapper out, or let "
+                f"policies be judged by rollouts: --scale {task.name}=LOW,HIGH, the mean returns of the uniform and of a good "
+                "one."
+            )
         if not (has_table or hasattr(env, "table_at") or task.scale):
             raise DesignError(
                 f"The best policy of {task.name} is not known: it has no transition table, which would be `P[state][action]`, "
@@ -298,3 +314,9 @@ class LeagueSettings:
         names: Sequence[str] = league_data()["algorithms"]["names"]
         methods: Sequence[str] = league_data()["algorithms"]["methods"]
         return tuple(self._contestant(method, name) for name in names if name in ALGORITHMS for method in methods)
+
+
+def _check_once(option: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise DesignError(f"--{option} {name}=... is given more than once: please give it once, with all values.")

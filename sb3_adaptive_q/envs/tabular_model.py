@@ -2,6 +2,7 @@
 
 from typing import Any, TypeAlias
 
+import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
@@ -36,13 +37,17 @@ class TabularModel:
 
     def __init__(self, table: Any, start: Any) -> None:
         self.n_states = len(table)
-        self.n_actions = len(table[0]) if self.n_states else 0
+        self.n_actions = _number_of_actions(table, 0) if self.n_states else 0
         if self.n_states == 0 or self.n_actions == 0:
             raise ValueError("The table must have at least one state with at least one action, but is empty.")
         self.start = _distribution("the start distribution", start, self.n_states)
         self.rewards = np.zeros(self.n_states * self.n_actions)
         successors: list[dict[int, float]] = []
         for state in range(self.n_states):
+            if _number_of_actions(table, state) > self.n_actions:
+                raise ValueError(
+                    f"P[{state}] has more actions than P[0]: every state needs the same, 0 to {self.n_actions - 1}."
+                )
             for action in range(self.n_actions):
                 self.rewards[len(successors)], merged = self._read_row(table, state, action)
                 successors.append(merged)
@@ -60,7 +65,7 @@ class TabularModel:
         :param source: an environment with a table, wrappers around it or not; the pair (table, start distribution); or a
             model, which is returned as it is
         :return: the model
-        :raises ValueError: if an environment has no table, or the table is wrong
+        :raises ValueError: if an environment has no table, the table is wrong, or a wrapper changes what it says
         """
         if isinstance(source, TabularModel):
             return source
@@ -77,6 +82,13 @@ class TabularModel:
                 f"{type(env).__name__} has no transition table, which dynamic programming needs: `P[state][action]`, a list "
                 "of (probability, next state, reward, terminated), and `initial_state_distrib`. Estimate returns by rollouts "
                 "instead, for example with stable_baselines3.common.evaluation.evaluate_policy."
+            )
+        wrapper = changing_wrapper(source)
+        if wrapper is not None:
+            raise ValueError(
+                f"{type(wrapper).__name__} changes actions, rewards or observations, so the table of {type(env).__name__} "
+                "is not what an agent learns from: give the table with these changes, as the pair (table, start "
+                "distribution), or the environment without this wrapper."
             )
         return cls(env.P, env.initial_state_distrib)
 
@@ -137,6 +149,25 @@ class TabularModel:
         made.probabilities = np.repeat(weights, np.diff(self.first)) * self.probabilities
         made.rows = np.arange(self.n_states).reshape(-1, 1)
         return made
+
+
+def changing_wrapper(env: Any) -> gym.Wrapper[Any, Any, Any, Any] | None:
+    """
+    :param env: an environment
+    :return: a wrapper around it that changes actions, rewards or observations; ``None`` if there is none
+    """
+    while isinstance(env, gym.Wrapper):
+        if isinstance(env, gym.ActionWrapper | gym.RewardWrapper | gym.ObservationWrapper):
+            return env
+        env = env.env
+    return None
+
+
+def _number_of_actions(table: Any, state: int) -> int:
+    try:
+        return len(table[state])
+    except (KeyError, IndexError, TypeError) as error:
+        raise ValueError(f"P[{state}] is missing: the table must have the states 0 to {len(table) - 1}.") from error
 
 
 def _distribution(name: str, probabilities: Any, length: int) -> Array:
