@@ -264,6 +264,19 @@ class TestHeatMaps:
         np.testing.assert_array_equal(ax.lines[0].get_xdata(), range(5))
         np.testing.assert_array_equal(np.floor(ax.lines[0].get_ydata()), table.argmax(axis=1))
 
+    def test_states_and_actions_have_the_numbers_of_the_environment(self):
+        model = SimpleNamespace(
+            q_table=random_table(3, 2),
+            observation_space=gym.spaces.Discrete(3, start=10),
+            action_space=gym.spaces.Discrete(2, start=5),
+        )
+        ax = plot_policy(model, what="q")
+        ax.figure.canvas.draw()
+        assert {"10", "11", "12"} <= {label.get_text() for label in ax.get_xticklabels()}
+        assert {"5", "6"} <= {label.get_text() for label in ax.get_yticklabels()}
+        model.q_table, model.observation_space = random_table(6, 2), gym.spaces.MultiDiscrete([2, 3])
+        assert {text.get_text() for text in plot_policy(model).texts} <= {"5", "6"}
+
     def test_two_components_of_three(self):
         """Values worked out by hand: the mean over the first component, and the first component held."""
         model = SimpleNamespace(q_table=np.zeros((12, 2)), observation_space=gym.spaces.MultiDiscrete([2, 3, 2]))

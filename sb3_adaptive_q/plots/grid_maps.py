@@ -102,7 +102,9 @@ def find_map(
     if letters is None or letters.size != n_states:
         return None
     _mark_start_and_end(letters, inner)
-    return GridMap(letters, np.arange(n_states).reshape(letters.shape), _moves(inner))
+    moves, first_action = _moves(inner), int(getattr(env, "action_space", inner.action_space).start)
+    names = {action: f"action {action + first_action}" for action in range(len(moves))}
+    return GridMap(letters, np.arange(n_states).reshape(letters.shape), moves, names)
 
 
 def taxi_layer(env: gym.Env[Any, Any], state: int) -> dict[str, str]:

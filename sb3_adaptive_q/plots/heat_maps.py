@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from sb3_adaptive_q.plots.numbers import greedy_actions, is_undecided, number_texts
 from sb3_adaptive_q.plots.sources import Components, Quantity
@@ -19,13 +19,17 @@ _SOME_STATES = 100
 _MOST_TICKS = 6
 
 
-def draw_table(ax: Axes, quantity: Quantity, limits: tuple[float, float] | None) -> None:
+def draw_table(
+    ax: Axes, quantity: Quantity, limits: tuple[float, float] | None, first_state: int = 0, first_action: int = 0
+) -> None:
     """
     A column for each state, a row for each action; a dot in each column for the greedy action of a table of values.
 
     :param ax: the axes to draw on
     :param quantity: the numbers
     :param limits: the values that the lightest and the darkest colour stand for; ``None`` for the least and the largest
+    :param first_state: the number that the environment gives to the first state
+    :param first_action: and to the first action
     """
     values = quantity.values
     n_states, n_columns = values.shape
@@ -34,6 +38,8 @@ def draw_table(ax: Axes, quantity: Quantity, limits: tuple[float, float] | None)
     ax.set_title(quantity.label, loc="left", fontsize="medium")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.yaxis.set_major_locator(MaxNLocator(integer=True) if n_columns > 1 else FixedLocator([]))
+    ax.xaxis.set_major_formatter(_counted_from(first_state))
+    ax.yaxis.set_major_formatter(_counted_from(first_action))
     ax.figure.colorbar(image, ax=ax)
     if n_states <= _FEW_STATES:
         for (state, column), text in zip(np.ndindex(values.shape), number_texts(values.ravel()), strict=True):
@@ -44,6 +50,10 @@ def draw_table(ax: Axes, quantity: Quantity, limits: tuple[float, float] | None)
         height = 0.0 if n_states > _FEW_STATES else 0.3
         ax.plot(decided, greedy + height, "o", color="black", markersize=3, gid="greedy actions")
         ax.set_xlabel("state   (dots: greedy actions)")
+
+
+def _counted_from(first: int) -> FuncFormatter:
+    return FuncFormatter(lambda value, _: f"{value + first:g}".replace("-", "−"))
 
 
 class Plane:
@@ -109,13 +119,16 @@ class Plane:
         return ", ".join(words)
 
 
-def draw_plane(ax: Axes, plane: Plane, label: str, limits: tuple[float, float] | None, has_actions: bool) -> None:
+def draw_plane(
+    ax: Axes, plane: Plane, label: str, limits: tuple[float, float] | None, has_actions: bool, first_action: int = 0
+) -> None:
     """
     :param ax: the axes to draw on
     :param plane: what to draw
     :param label: what the numbers are, in words
     :param limits: the values that the lightest and the darkest colour stand for; ``None`` for the least and the largest
     :param has_actions: whether the plane holds action values, whose largest is drawn, with the number of the greedy action
+    :param first_action: the number that the environment gives to the first action
     """
     values = plane.values.max(axis=2) if has_actions else plane.values.mean(axis=2)
     shown = np.ma.masked_invalid(values)
@@ -128,7 +141,7 @@ def draw_plane(ax: Axes, plane: Plane, label: str, limits: tuple[float, float] |
     if has_actions and shown.size <= _FEW_CELLS:
         notes.append("digits: greedy action")
         for row, column in np.argwhere(np.isfinite(values)):
-            action = int(plane.values[row, column].argmax())
+            action = int(plane.values[row, column].argmax()) + first_action
             ax.text(column + 0.5, row + 0.5, str(action), ha="center", va="center", size=6.5)
     if shown.count() < shown.size:
         notes.append("white: nothing learned")

@@ -134,7 +134,7 @@ class MapDrawing:
             if undecided[row, column]:
                 self._write(row, column, UNDECIDED, y=-0.1, size=2.0)
             elif (down, right) == (0, 0):
-                text = self.grid.names.get(action, f"action {action}").replace(" ", "\n")
+                text = self.grid.names[action].replace(" ", "\n")
                 self._write(row, column, text, y=-0.1, weight="bold", linespacing=1.0)
             else:
                 length = 0.44 / np.hypot(down, right)

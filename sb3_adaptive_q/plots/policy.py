@@ -93,6 +93,7 @@ def choose_picture(
     """
     quantity, table = read_quantity(model, what), read_table(model)
     found = find_env(model, env)
+    first_action = int(getattr(getattr(model, "action_space", None), "start", 0))
     grid = find_map(found, len(table), passenger, destination)
     if grid is not None and dimensions is None and at is None:
         picture = _map_picture(grid, quantity, table, what, limits)
@@ -102,14 +103,19 @@ def choose_picture(
     is_plane = dimensions is not None or at is not None or (len(components.sizes) > 1 and what != "q")
     if not is_plane:
         shown = read_quantity(model, "q") if what == "value" else quantity
-        return Picture(_table_size(shown.values), partial(draw_table, quantity=shown, limits=limits))
+        first_state = components.starts[0] if len(components.starts) == 1 else 0
+        draw = partial(draw_table, quantity=shown, limits=limits, first_state=first_state, first_action=first_action)
+        return Picture(_table_size(shown.values), draw)
     has_actions = what in ("value", "q")
     is_known = ~is_undecided(table) if has_actions else np.ones(len(table), dtype=bool)
     plane = Plane(table if has_actions else quantity.values, components, dimensions or (0, 1), at or {}, is_known)
     label = read_quantity(model, "value").label if has_actions else quantity.label
     if not has_actions and quantity.values.shape[1] > 1:
         label += ", mean over the actions"
-    return Picture(_HEAT_MAP, partial(draw_plane, plane=plane, label=label, limits=limits, has_actions=has_actions))
+    draw = partial(
+        draw_plane, plane=plane, label=label, limits=limits, has_actions=has_actions, first_action=first_action
+    )  # fmt: skip
+    return Picture(_HEAT_MAP, draw)
 
 
 def draw_figure(model: Any, dpi: int, **choice: Any) -> PlotFigure:
