@@ -215,9 +215,9 @@ class TabularAlgorithm(LearnedTable, Prediction, Resumable, OneAtATime, WrappedE
         :param progress_bar: whether to show one
         :return: the model
         :raises ValueError: if an argument is out of range, there is no environment, there are two methods among the callbacks,
-            or a reward or a step size is not valid. Before the first step, counts, method and memory are then as before; if
-            the environment was reset already, or callbacks had begun, the next call starts a new episode. Later, what was
-            learned remains, and the next call starts a new episode
+            or a reward or a step size is not valid. If this happens before the first step, counts, method and memory are as
+            before; if the environment was reset already, or callbacks had begun, the next call starts a new episode. If it
+            happens later, what was learned remains, and the next call starts a new episode
         :raises RuntimeError: if the model is learning already
         """
         total_timesteps, log_interval = check("total_timesteps", total_timesteps), check("log_interval", log_interval)

@@ -83,7 +83,9 @@ class LearningRateCallback(BaseCallback):
             reset_each_episode=reset_each_episode,
         )
         if kind.lower is not None and kind.upper is not None:
-            data = data._replace(bounds=_check_bounds(kind.lower, kind.upper))
+            if not kind.lower <= kind.upper:
+                raise ValueError(f"`lower` must not be above `upper`, but got lower={kind.lower} and upper={kind.upper}.")
+            data = data._replace(bounds=(kind.lower, kind.upper))
         elif kind.lower is not None or kind.upper is not None:
             raise ValueError(
                 f"{kind.__qualname__} has the class attributes lower={kind.lower} and upper={kind.upper}: please set both, or "
@@ -332,11 +334,8 @@ class EpisodeSeriesCallback(BaseCallback):
             self.model.episode_series.append(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_parts": self._parts}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__()  # type: ignore[misc]
-        self._parts = state["_parts"]
+        # Without what belongs to the training, most of which cannot be copied
+        return {**vars(self), "model": None, "parent": None, "locals": {}, "globals": {}}
 
     def add(self, episodes: Episodes) -> None:
         """

@@ -129,7 +129,7 @@ class InstalledMethod:
         """
         arrays = [np.zeros((1, 1)) for _ in self.data.memory]
         for name, function, further in (("step_size", self.step_size, arrays), ("rule", self.rule, [])):
-            if function is None or _is_own(function):
+            if function is None or is_own(function):
                 continue
             try:
                 other = type_returned(function, (0.0, _STEP_OF_ZEROS, *self.arguments, *further))
@@ -151,26 +151,30 @@ class InstalledMethod:
         try:
             if self.step_size is not None:
                 arrays = [np.full((1, 1), start) for start in self.data.memory.values()]
-                mu: Any = clip_size(float(self.step_size(0.0, step, *self.arguments, *arrays)), *self.data.bounds)
+                mu: Any = self.step_size(0.0, step, *self.arguments, *arrays)
             else:
-                mu = self.rule_function(0.0, step, *self.arguments)
+                mu = self.rule(0.0, step, *self.arguments)
         except ZeroDivisionError as error:
             raise ValueError(
                 f"{self.data.owner} must give step sizes from 0 to 1, but before the first update, where all numbers of "
                 "the Step are 0, it divides by zero: please check it, pass `mu_0`, or set the class attribute `counts = True` "
                 "if it divides by `step.count`."
             ) from error
-        if not (isinstance(mu, Real) and 0.0 <= float(mu) <= 1.0):
+        clipped = clip_size(float(mu), *self.data.bounds) if isinstance(mu, Real) else mu
+        if not (isinstance(mu, Real) and 0.0 <= clipped <= 1.0):
             raise ValueError(
                 f"{self.data.owner} must give step sizes from 0 to 1, but before the first update, where all numbers of "
                 f"the Step are 0, it gave {mu!r}: please check it, or pass `mu_0`."
             )
-        return float(mu)
+        return float(clipped)
 
 
-def _is_own(function: Callable[..., Any]) -> bool:
-    """Whether a function is one of this package."""
-    return (function.__module__ or "").partition(".")[0] == __package__
+def is_own(function: Callable[..., Any]) -> bool:
+    """
+    :param function: a function of a method, a schedule or an algorithm
+    :return: whether it is one of this package
+    """
+    return (getattr(function, "__module__", None) or "").partition(".")[0] == __package__
 
 
 def _check_data(data: MethodData) -> MethodData:

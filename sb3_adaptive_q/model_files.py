@@ -40,7 +40,7 @@ class SavedAsData:
     built_anew: ClassVar[frozenset[str]] = frozenset(
         (
             "policy", "device", "env", "replay_buffer", "rollout_buffer", "_vec_normalize_env", "_logger", "_custom_logger",
-            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_known_method", "_learning",
+            "choices", "considered", "episode_series", "training", "_known_learning_rate", "_learning",
             "_method", "_missing_method", "_next_actions", "_predict_generator", "_rollout", "_schedule_parameters",
             "_unfinished", "_update_parameters", "_working",
         )
@@ -103,7 +103,7 @@ class SavedAsData:
         force_reset = check("force_reset", force_reset)
         saved = cls._read(path, custom_objects, print_system_info, allow_pickle)
         given = custom_objects or {}
-        chosen = {name: value for name, value in given.items() if name in _METHOD or _is_property(cls, name)}
+        chosen = {name: value for name, value in given.items() if name in _METHOD or _can_be_set(cls, name)}
         model = cls._build(saved, env, device, force_reset, chosen | kwargs)
         if "lr_schedule" in given and saved.method is None:
             model._set_schedule(given["lr_schedule"])
@@ -143,6 +143,7 @@ class SavedAsData:
     ) -> SelfSavedAsData:
         """Build a model from the contents of a file, without the training that was running."""
         attributes, changes = dict(saved.attributes), _changes_of_method(kwargs)
+        known_method = attributes.pop("_known_method", None)
         properties = {name for name in changes if _is_property(cls, name)}
         changes = _checked(cls, changes, {*properties, *attributes})
         with refusing(saved.name, "cannot be loaded"):
@@ -164,13 +165,16 @@ class SavedAsData:
             model.__dict__.update(attributes)
             model.__dict__.update({name: value for name, value in changes.items() if name not in properties})
             schedule = None if "learning_rate" in changes else attributes.get("learning_rate")
-            if callable(schedule):  # a function that the file names is called by `learn`, not here
+            is_unused = callable(schedule) and _METHOD.isdisjoint(changes)
+            if is_unused:  # a function that the file names is called by `learn`, not here: μ is in the file
                 model.learning_rate = 0.0  # type: ignore[attr-defined]
             model._setup_model()  # type: ignore[attr-defined]
-            if callable(schedule):
+            if is_unused:
                 model.learning_rate = model._known_learning_rate = schedule  # type: ignore[attr-defined]
                 model._setup_lr_schedule()  # type: ignore[attr-defined]
             model._restore(saved, method, changes)
+            if known_method is not None and _METHOD.isdisjoint(changes):  # another one may have been assigned since
+                model._known_method = known_method  # type: ignore[attr-defined]
             schedule = changes.get("lr_schedule", None if "learning_rate" in changes else attributes.get("lr_schedule"))
             if schedule is not None:
                 model._set_schedule(schedule)
@@ -297,7 +301,7 @@ class SavedAsData:
         for name, function in needed.items():
             if isinstance(function, MissingFunction):
                 nameless = "<" in function.path  # such as module:<lambda>
-                remedy = "no program can import: please" if nameless else "is not imported here: import it before `load`, or"
+                remedy = "no program can import: please" if nameless else "is not imported here: import it and load again, or"
                 raise ValueError(
                     f"The saved model has the function {function.path} as its `{name}`, which {remedy} set `model.{name}`."
                 )
@@ -305,6 +309,10 @@ class SavedAsData:
 
 def _is_property(kind: type, name: str) -> bool:
     return isinstance(inspect.getattr_static(kind, name, None), property)
+
+
+def _can_be_set(kind: type, name: str) -> bool:
+    return _is_property(kind, name) and getattr(kind, name).fset is not None
 
 
 def _changes_of_method(kwargs: dict[str, Any]) -> dict[str, Any]:

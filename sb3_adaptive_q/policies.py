@@ -197,8 +197,11 @@ class TabularQPolicy(BasePolicy):
         """
         saved = th.load(path, map_location="cpu", weights_only=False)
         policy = cls(**saved["data"])
+        known = policy.state_dict()
         for name, tensor in saved["state_dict"].items():
-            policy.register_buffer(name, tensor)
+            if name not in known and "." not in name:  # one that an algorithm or a step size has declared
+                policy.register_buffer(name, tensor)
+        policy.load_state_dict(saved["state_dict"])
         return policy
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

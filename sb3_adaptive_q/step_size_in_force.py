@@ -11,7 +11,7 @@ from sb3_adaptive_q.algorithms.td_update import NEXT_ACTIONS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.checks import ATTRIBUTES, RATE, RATE_ABOVE_0, TEMPERATURE, Check, check
-from sb3_adaptive_q.installed_method import NO_BOUNDS, InstalledMethod, MethodData
+from sb3_adaptive_q.installed_method import NO_BOUNDS, InstalledMethod, MethodData, is_own
 from sb3_adaptive_q.policies import MEMORY, TabularQPolicy
 from sb3_adaptive_q.rollouts.functions import Choices, make_explore
 from sb3_adaptive_q.saved_values import SIMPLE_LINEAR, path_of
@@ -33,7 +33,7 @@ class StepSizeInForce(AlgorithmDeclaration):
     _method: InstalledMethod | None
     _missing_method: MethodData | None
     _known_learning_rate: Any
-    _known_method: tuple[Any, dict[str, Any]]
+    _known_method: dict[str, Any]
 
     _exploration_rate = field_of_state("epsilon", "The exploration rate in force.")
     _mu = field_of_state("mu", "The scalar step size in force.")
@@ -219,6 +219,20 @@ class StepSizeInForce(AlgorithmDeclaration):
             named.insert(0, "`learning_rate`")
         return " or ".join(named) or f"The update of {type(self).__name__}"
 
+    def functions_of_user(self) -> str:
+        """
+        :return: the method, schedule or update that are not this package's, for messages
+        """
+        method = self._method
+        found = {
+            f"The method {method.data.owner}" if method else "": method and (method.step_size or method.rule),
+            "`exploration_schedule`": self.exploration_schedule,  # type: ignore[attr-defined]
+            "`learning_rate`": None if method else self.learning_rate,
+            f"The update of {type(self).__name__}": self.choices.update,
+        }
+        named = [name for name, function in found.items() if callable(function) and not is_own(function)]
+        return " or ".join(named) or self.own_functions()
+
     def _install_own_method(self) -> None:
         """Install the method of the constructor's arguments, if there is one."""
         self._missing_method = None  # a file may name a method whose class is not imported
@@ -228,8 +242,8 @@ class StepSizeInForce(AlgorithmDeclaration):
         if self.method is not None:
             self.install_method(make_method(self.method, **(self.method_kwargs or {})).method, restart=True)
 
-    def _own_method(self) -> tuple[Any, dict[str, Any]]:
-        return self.method, dict(self.method_kwargs or {})
+    def _own_method(self) -> dict[str, Any]:
+        return {"method": self.method, "method_kwargs": dict(self.method_kwargs or {})}
 
     def _check_arguments(self) -> None:
         """Check the attributes that are the constructor's arguments, and make plain types of them."""

@@ -5,6 +5,7 @@ import json
 import runpy
 import shutil
 import sys
+import traceback
 from collections.abc import Callable
 from functools import partial
 from math import sqrt
@@ -288,7 +289,7 @@ def check_entry(path: str, env_id: str, changes: dict[str, Any]) -> None:
             f"`n_timesteps` and `policy: MlpPolicy`, but is {entries[name]!r}."
         ) from error
     n_envs = needed.get("n_envs", 1)
-    if not (isinstance(n_envs, int) and n_envs >= 1):
+    if not (type(n_envs) is int and n_envs >= 1):
         raise ValueError(f"`n_envs` must be a whole number of at least 1, but is {n_envs!r}.")
 
 
@@ -355,7 +356,10 @@ def train(arguments: list[str]) -> None:
         hint = (
             " (values of -params are Python expressions: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
         )
-        told = repr(error) if isinstance(error, LookupError) else error  # whose text is the key alone
+        told: object = error
+        if isinstance(error, LookupError | ArithmeticError):  # whose text says little
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            told = f"{error!r} ({place.filename}, line {place.lineno})"
         sys.exit(f"error: {told}{hint}")
 
 

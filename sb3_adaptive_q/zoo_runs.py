@@ -61,8 +61,8 @@ def plot_training(arguments: list[str]) -> None:
     if not plt.gca().lines:
         sys.exit("error: no training there has as many episodes as a point is the mean of: train longer, or give -w a number")
     if ours.output:
-        picture = ours.output if ours.output.suffix else ours.output.with_suffix(".png")
         try:
+            picture = ours.output if ours.output.suffix else ours.output.with_suffix(".png")
             plt.savefig(picture)
         except (OSError, ValueError) as error:
             sys.exit(f"error: the picture cannot be written: {error}")

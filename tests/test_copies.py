@@ -87,15 +87,19 @@ def test_counts_and_rates_can_be_replaced_by_custom_objects(tmp_path):
     TabularQ("MlpPolicy", LAKE, seed=0).learn(100).save(tmp_path / "model")
     loaded = TabularQ.load(tmp_path / "model", custom_objects={"num_timesteps": 0, "exploration_rate": 0.5})
     assert (loaded.num_timesteps, loaded.exploration_rate) == (0, 0.5)
+    assert TabularQ.load(tmp_path / "model", custom_objects={"logger": None, "memory": {}}).num_timesteps == 100
 
 
-def test_a_method_that_is_assigned_is_in_force_from_the_next_training():
+def test_a_method_that_is_assigned_is_in_force_from_the_next_training(tmp_path):
     model = TabularQ("MlpPolicy", LAKE, method=1, seed=0).learn(100)
     model.method = 2
     assert model.learn(100, reset_num_timesteps=False).mu == 0.05
     model.method, model.method_kwargs = "polynomial", {"omega": 0.5}
     assert model.learn(100, reset_num_timesteps=False).memory["visits"].sum() == 100
     assert model.learn(100, reset_num_timesteps=False).memory["visits"].sum() == 200  # the same method goes on
+    model.method, model.method_kwargs = 7, None
+    model.save(tmp_path / "model")
+    assert TabularQ.load(tmp_path / "model", env=LAKE).learn(10, reset_num_timesteps=False)._method.data.label == "method7"
     model.method = model.method_kwargs = None
     assert (model.learn(100, reset_num_timesteps=False).mu, model.memory) == (model.learning_rate, {})
 
@@ -104,7 +108,9 @@ def test_a_method_that_is_assigned_is_in_force_from_the_next_training():
 def test_a_series_of_episodes_can_be_copied_and_comes_back_from_another_process(copied):
     series = EpisodeSeriesCallback()
     TabularQ("MlpPolicy", LAKE, seed=0).learn(1000, callback=[series, series])
+    series.title = "lake"
     theirs = copied(series)
+    assert theirs.title == "lake" and theirs.num_timesteps == 1000
     assert len(theirs.returns) > 10 and theirs.lengths.sum() <= 1000  # though it was handed over twice
     np.testing.assert_array_equal(theirs.returns, series.returns)
     assert TabularQ("MlpPolicy", LAKE, seed=0).learn(1000, callback=theirs).num_timesteps == 1000

@@ -442,8 +442,9 @@ class TestEndOfAnEpisode:
         assert (observations.tolist(), rewards.tolist(), dones.tolist()) == ([1], [3.0], [True])
         assert info == {"terminal_observation": 3, "TimeLimit.truncated": end == "truncated"}
 
-    def test_a_vec_env_that_does_not_tell_where_an_episode_ended(self):
-        """The value of a terminal state is 0 wherever it is, so nothing is missing."""
+    @pytest.mark.parametrize("end", ["terminated", "truncated"])
+    def test_a_vec_env_that_does_not_tell_where_an_episode_ended(self, end):
+        """The value of a terminal state is 0 wherever it is, so nothing is missing there."""
 
         class Silent(VecEnvWrapper):
             def reset(self):
@@ -451,11 +452,17 @@ class TestEndOfAnEpisode:
 
             def step_wait(self):
                 observations, rewards, dones, infos = self.venv.step_wait()
-                return observations, rewards, dones, [{} for _ in infos]
+                for info in infos:
+                    info.pop("terminal_observation", None)
+                return observations, rewards, dones, infos
 
-        env = DummyVecEnv([lambda: ScriptedEnv([Episode(1, [Step(0.0, 2), Step(3.0, 3, "terminated")])])])
-        model = TabularQ("MlpPolicy", Silent(env), learning_rate=0.5, seed=0).learn(2)
-        assert sorted(model.q_table.ravel())[-1] == 1.5
+        env = DummyVecEnv([lambda: ScriptedEnv([Episode(1, [Step(0.0, 2), Step(3.0, 3, end)])])])
+        model = TabularQ("MlpPolicy", Silent(env), learning_rate=0.5, seed=0)
+        if end == "truncated":
+            with pytest.raises(ValueError, match=r'truncated an episode at step 2 without `info\["terminal_observation"\]`'):
+                model.learn(2)
+        else:
+            assert sorted(model.learn(2).q_table.ravel())[-1] == 1.5
 
     def test_terminated_and_truncated_at_once_is_terminated(self):
         class Both(ScriptedEnv):

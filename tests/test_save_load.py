@@ -605,6 +605,18 @@ class TestPolicyAlone:
         assert theirs.keys() == ours.keys() > {"q_table", "mu"}
         assert all(th.equal(theirs[name], ours[name]) for name in ours)
 
+    def test_with_layers_of_its_own(self, tmp_path):
+        class Layered(TabularQPolicy):
+            def __init__(self, *args, **kwargs):
+                super().__init__(*args, **kwargs)
+                self.layer = th.nn.Linear(2, 2)
+
+        model = TabularQ(Layered, LAKE, method="polynomial", seed=0).learn(300)
+        model.policy.save(tmp_path / "policy.pth")
+        theirs, ours = Layered.load(tmp_path / "policy.pth").state_dict(), model.policy.state_dict()
+        assert theirs.keys() == ours.keys() > {"layer.weight", "memory_visits"}
+        assert all(th.equal(theirs[name], ours[name]) for name in ours)
+
     def test_with_other_spaces(self, tmp_path):
         env = SampledEnv(spaces.MultiDiscrete([3, 2], start=[1, 0]), spaces.Discrete(4, start=2))
         model = TabularQ("MlpPolicy", env, seed=0, initial_q=0.5).learn(300)

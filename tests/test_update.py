@@ -97,7 +97,14 @@ class TestRules:
             def rule(mu, step):
                 return mu + 0.125
 
+        class Forgetful(Climbing):
+            @staticmethod
+            def rule(mu, step):
+                return None
+
         assert Climbing().method.start() == 0.25
+        with pytest.raises(ValueError, match=r"Forgetful must give step sizes from 0 to 1.* gave None"):
+            Forgetful()
         model = TabularQ("MlpPolicy", make_vec_env(LAKE, vec_env_cls=kind), seed=0)
         assert [model.learn(n, callback=Climbing()).mu for n in (1, 3, 10)] == [0.375, 0.625, 0.75]
 

@@ -5,8 +5,16 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium import wrappers
+from stable_baselines3.common.monitor import Monitor
 
 Array: TypeAlias = npt.NDArray[Any]
+
+#: Wrappers whose steps are those of the environment, as long as an episode goes on
+_CHANGE_NOTHING = (
+    Monitor, wrappers.Autoreset, wrappers.HumanRendering, wrappers.OrderEnforcing, wrappers.PassiveEnvChecker,
+    wrappers.RecordEpisodeStatistics, wrappers.RecordVideo, wrappers.RenderCollection, wrappers.TimeLimit,
+)  # fmt: skip
 
 
 class TabularModel:
@@ -86,9 +94,9 @@ class TabularModel:
         wrapper = changing_wrapper(source)
         if wrapper is not None:
             raise ValueError(
-                f"{type(wrapper).__name__} changes actions, rewards or observations, so the table of {type(env).__name__} "
-                "is not what an agent learns from: give the table with these changes, as the pair (table, start "
-                "distribution), or the environment without this wrapper."
+                f"{type(wrapper).__name__} may change actions, rewards or observations, so the table of {type(env).__name__} "
+                "may not be what an agent learns from: give the table with these changes, as the pair (table, start "
+                "distribution), or `env.unwrapped` if there are none."
             )
         return cls(env.P, env.initial_state_distrib)
 
@@ -154,10 +162,11 @@ class TabularModel:
 def changing_wrapper(env: Any) -> gym.Wrapper[Any, Any, Any, Any] | None:
     """
     :param env: an environment
-    :return: a wrapper around it that changes actions, rewards or observations; ``None`` if there is none
+    :return: a wrapper around it that may change actions, rewards or observations, because it has a ``step`` of its own;
+        ``None`` if there is none
     """
     while isinstance(env, gym.Wrapper):
-        if isinstance(env, gym.ActionWrapper | gym.RewardWrapper | gym.ObservationWrapper):
+        if type(env).step is not gym.Wrapper.step and not isinstance(env, _CHANGE_NOTHING):
             return env
         env = env.env
     return None

@@ -5,6 +5,7 @@ import importlib
 import inspect
 import os
 import sys
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -34,11 +35,21 @@ def load_object(path: str) -> Any:
         sys.path.append(os.getcwd())
     try:
         return getattr(importlib.import_module(module_name), name)
-    except (Exception, SystemExit) as error:  # a module of the user's may raise anything
+    except (ImportError, AttributeError, ValueError) as error:
         raise DesignError(
-            f"Cannot import {path!r} ({type(error).__name__}: {error}): "
-            "give `module:name`, with the module in the working directory or installed."
+            f"Cannot import {path!r} ({error}): give `module:name`, with the module in the working directory or installed."
         ) from error
+    except (Exception, SystemExit) as error:  # a module of the user's may raise anything
+        raise DesignError(f"Cannot import {path!r}: its module raises {told(error)}.") from error
+
+
+def told(error: BaseException) -> str:
+    """
+    :param error: that a user's code has raised
+    :return: what it is, and where it comes from
+    """
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
 
 
 def algorithm_class(name: str) -> type[Any]:

@@ -142,7 +142,7 @@ def solve(model: TabularModel, rows: Array, gamma: float, horizon: int | None, e
 def _limits(gamma: Any, horizon: Any) -> tuple[int, float]:
     """How many sweeps to make at most, and the change that is small enough to stop earlier."""
     if not (isinstance(gamma, _NUMBERS) and 0.0 <= gamma <= 1.0):
-        raise ValueError(f"gamma must be between 0 and 1, but is {gamma!r}.")
+        raise ValueError(f"gamma must be a number between 0 and 1, but is {gamma!r}.")
     if horizon is None:
         # Of a contraction by gamma, the distance to the fixed point is at most gamma / (1 - gamma) of the last change
         return _MOST_SWEEPS, max(ACCURACY * (1.0 - gamma) / max(gamma, 0.5), _ROUNDING)

@@ -62,13 +62,13 @@ def animate(
     if not path.parent.is_dir():
         raise ValueError(f"`path` must lie in a folder that exists, but there is no {path.parent}.")
     playground = _make(env) if isinstance(env, str) else env
-    spaces = playground.observation_space, playground.action_space
-    if hasattr(model, "observation_space") and spaces != (model.observation_space, model.action_space):
-        raise ValueError(
-            f"`env` must have the spaces of the model, {model.observation_space} and {model.action_space}, but has "
-            f"{spaces[0]} and {spaces[1]}: please wrap it as for learning."
-        )
     try:
+        spaces = playground.observation_space, playground.action_space
+        if hasattr(model, "observation_space") and spaces != (model.observation_space, model.action_space):
+            raise ValueError(
+                f"`env` must have the spaces of the model, {model.observation_space} and {model.action_space}, but has "
+                f"{spaces[0]} and {spaces[1]}: please wrap it as for learning."
+            )
         images = [Image.fromarray(frame) for frame in _play(model, playground, max_steps, deterministic, seed)]
     except DependencyNotInstalled as error:
         raise ModuleNotFoundError(

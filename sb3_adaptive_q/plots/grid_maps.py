@@ -180,7 +180,8 @@ def _moves(inner: Any) -> tuple[tuple[int, int], ...]:
         return _LAKE_MOVES
     if isinstance(inner, CliffWalkingEnv):
         return tuple((row, column) for row, column in (POSITION_MAPPING[action] for action in range(4)))
-    moves = getattr(inner, "moves", getattr(_table(inner), "moves", None))
+    moves = getattr(inner, "moves", None)
+    moves = getattr(_table(inner), "moves", None) if moves is None else moves
     if moves is None or len(moves) != inner.action_space.n:
         raise ValueError(
             f"{type(inner).__name__} has a map but does not say where its actions lead: give it the attribute `moves`, a pair "

@@ -53,7 +53,7 @@ def draw_table(
 
 
 def _counted_from(first: int) -> FuncFormatter:
-    return FuncFormatter(lambda value, _: f"{value + first:g}".replace("-", "−"))
+    return FuncFormatter(lambda value, _: f"{value + first:.0f}".replace("-", "−"))
 
 
 class Plane:

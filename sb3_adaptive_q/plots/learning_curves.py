@@ -75,7 +75,7 @@ def _check(runs: Any, window: Any, against: str, center: str, confidence: float)
         if not isinstance(group, Iterable) or isinstance(group, str):
             raise ValueError(f"`runs` must have a list of runs for {label!r}, but got {group!r}: please put it into a list.")
     if not (isinstance(window, int | np.integer) and window >= 1):
-        raise ValueError(f"`window` must be at least 1 episode, but got {window}.")
+        raise ValueError(f"`window` must be a whole number of at least 1 episode, but got {window}.")
     if against not in ("episodes", "timesteps"):
         raise ValueError(f'`against` must be "episodes" or "timesteps", but got {against!r}.')
     if center not in ("mean", "iqm"):

@@ -189,7 +189,7 @@ class CompiledRollout(StepRollout):
             else:
                 self._call_in_thread(arguments)
         except IndexError as error:
-            self.refuse_index(error, f"{self.model.own_functions()}, or the dynamics {type(self.dynamics).__name__},")
+            self.refuse_index(error, f"{self.model.functions_of_user()}, or the dynamics {type(self.dynamics).__name__},")
         status = int(self.control["status"][0])
         if status != loops.SOUND:
             self._refuse_status(status)

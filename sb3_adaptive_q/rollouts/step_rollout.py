@@ -138,7 +138,7 @@ class StepRollout:
             try:
                 action = update(tables, memory, learner, draws, transition, i, considered)
             except IndexError as error:
-                self.refuse_index(error, self.model.own_functions())
+                self.refuse_index(error, self.model.functions_of_user())
             if action < 0:
                 self.refuse(states[i], actions[i])
             states[i], actions[i] = transition[-1], action
@@ -226,8 +226,8 @@ class StepRollout:
         :raises ValueError: always
         """
         raise ValueError(
-            f"{who} looked beyond the end of an array ({error}): please check it. A step size finds its cell at "
-            "`[step.row, step.column]`."
+            f"{who} looked beyond the end of an array ({error}): please check it. The cell of a step size is "
+            "`[step.row, step.column]`, that of a table `[state, action]`."
         ) from error
 
     def _hand_over_episodes(self) -> None:
@@ -257,13 +257,21 @@ class StepRollout:
                 self.refuse_reward(i, reward)
             next_state, terminated = start_state, done
             if done:
-                if self.infos[i].get("terminal_observation") is not None:
-                    next_state = self.state_index.of(self.infos[i]["terminal_observation"])
                 terminated = not self.infos[i].get("TimeLimit.truncated", False)
+                if not terminated or self.infos[i].get("terminal_observation") is not None:
+                    next_state = self.state_index.of(self._terminal_observation(i))
             self.episode_returns[i] += reward
             self.episode_lengths[i] += 1
             transitions.append((self.states[i], self.actions[i], reward, next_state, terminated, done, start_state))
         return transitions
+
+    def _terminal_observation(self, i: int) -> Any:
+        if self.infos[i].get("terminal_observation") is None:
+            raise ValueError(
+                f"Environment {i} has truncated an episode at step {self.model.num_timesteps} without "
+                '`info["terminal_observation"]`, whose value the target needs: a VecEnv must tell it.'
+            )
+        return self.infos[i]["terminal_observation"]
 
     def _choose_action(self, i: int) -> int:
         behaviour = self.choices.functions_of_behaviour()

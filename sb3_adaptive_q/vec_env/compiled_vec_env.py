@@ -17,9 +17,9 @@ class CompiledVecEnv(LeanVecEnv):
     here in rollouts of compiled code, each of many steps, and then puts the environments into the state in which the rollout
     ended. With the same seed the results are bit-identical to those of ordinary environments.
 
-    It compiles gymnasium's FrozenLake, Taxi and CliffWalking, the environments of this package, and ``CartPole-v1``, the Cart
-    Poles under :class:`sb3_adaptive_q.wrappers.DiscretizeObservation`. An environment of your own with a transition table
-    ``P`` compiles if its class has the attribute ``compile_by_table = True``; for others see
+    It compiles gymnasium's FrozenLake, Taxi, CliffWalking and ``CartPole-v1``, and the environments of this package. Both Cart
+    Poles need a :class:`sb3_adaptive_q.wrappers.DiscretizeObservation` around them. An environment of your own with a
+    transition table ``P`` compiles if its class has the attribute ``compile_by_table = True``; for others see
     :func:`sb3_adaptive_q.vec_env.register_dynamics`.
 
     :param env_fns: functions that each make a new environment; all environments must be alike

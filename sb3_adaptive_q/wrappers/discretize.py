@@ -221,7 +221,7 @@ def _check_alone(**even: Any) -> None:
 def _per_dimension(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> list[Any]:
     """Spread a scalar over all dimensions, or check that there is one value for each."""
     try:
-        values = np.asarray(value)
+        values = np.asarray(value.tolist() if isinstance(value, np.ndarray) else value)
     except ValueError:  # lists of different lengths
         values = np.asarray(value, dtype=object)
     if values.dtype.kind not in "buif":

@@ -17,7 +17,7 @@ from sb3_adaptive_q.random_numbers import read_pcg64
 
 #: Episodes of a greedy policy, and the seed that they always have
 EPISODES, SEED = 20, 20_000
-#: The limit of steps of these episodes, if the environment has none. A greedy policy may walk against a wall for ever
+#: The limit of steps of these episodes, if the environment has no TimeLimit. A greedy policy may walk against a wall for ever
 EPISODE_LIMIT = 1000
 
 Play = Callable[[np.ndarray], np.ndarray]
@@ -29,9 +29,9 @@ def player(environment: str, arguments: dict[str, Any]) -> Play:
     """
     :param environment: the name of an environment
     :param arguments: for it
-    :return: a function from a table to the returns of ``EPISODES`` episodes of its greedy policy, which start alike each time
-        and end after ``EPISODE_LIMIT`` steps where the environment has no limit; one for each thread, with an environment of
-        its own
+    :return: a function from a table to the returns of ``EPISODES`` episodes of its greedy policy, which start alike each time,
+        and end after ``EPISODE_LIMIT`` steps where the environment has no TimeLimit; one for each thread, with an environment
+        of its own
     """
     made: dict[str, Play] = _of_thread.__dict__
     key = str((environment, sorted(arguments.items())))

@@ -248,8 +248,7 @@ class LeagueSettings:
                 )
 
     def _scales(self) -> dict[str, tuple[float, float]]:
-        scales = {}
-        _check_once("scale", [text.rpartition("=")[0] for text in self.scale])
+        scales: dict[str, tuple[float, float]] = {}
         for text in self.scale:
             name, _, ends = text.rpartition("=")
             try:
@@ -258,6 +257,7 @@ class LeagueSettings:
                 raise DesignError(f"A scale is environment=low,high such as taxi=-770,8, but got {text!r}.") from error
             if not (name and low < high):
                 raise DesignError(f"A scale is environment=low,high with low below high, but got {text!r}.")
+            _check_once("scale", [*scales, name])
             scales[name] = (low, high)
         return scales
 
@@ -272,10 +272,10 @@ class LeagueSettings:
         env: Any = wrapped.unwrapped
         wrapper = changing_wrapper(wrapped)
         has_table = hasattr(env, "P") and hasattr(env, "initial_state_distrib") and wrapper is None
-        if wrapper is not None and hasattr(env, "P") and not task.scale:
+        if wrapper is not None and (hasattr(env, "P") or hasattr(env, "table_at")) and not task.scale:
             raise DesignError(
-                f"The best policy of {task.name} is not known: {type(wrapper).__name__} changes actions, rewards or "
-                "observations, so its transition table is not what an agent learns from. Leave the wrapper out, or let "
+                f"The best policy of {task.name} is not known: {type(wrapper).__name__} may change actions, rewards or "
+                "observations, so its transition table may not be what an agent learns from. Leave the wrapper out, or let "
                 f"policies be judged by rollouts: --scale {task.name}=LOW,HIGH, the mean returns of the uniform and of a good "
                 "one."
             )
