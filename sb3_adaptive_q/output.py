@@ -1,7 +1,8 @@
-"""Text for terminals and files that cannot show every sign, such as those of Windows."""
+"""Text for terminals and files: errors with their place, and signs that not every terminal can show."""
 
 import codecs
 import sys
+import traceback
 
 #: What is written where a terminal cannot show a sign
 _SPELLED = {
@@ -48,6 +49,15 @@ def spell_out_what_cannot_be_written() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors=_SPELL_OUT)
+
+
+def locate(error: BaseException) -> str:
+    """
+    :param error: that was raised by code outside of this package's control
+    :return: what it is, and the line that it comes from
+    """
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
 
 
 def _spell_out(error: UnicodeError) -> tuple[str, int]:

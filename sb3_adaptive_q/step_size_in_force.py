@@ -223,13 +223,11 @@ class StepSizeInForce(AlgorithmDeclaration):
         """
         :return: the method, schedule or update that are not this package's, for messages
         """
-        method = self._method
-        found = {
-            f"The method {method.data.owner}" if method else "": method and (method.step_size or method.rule),
-            "`exploration_schedule`": self.exploration_schedule,  # type: ignore[attr-defined]
-            "`learning_rate`": None if method else self.learning_rate,
-            f"The update of {type(self).__name__}": self.choices.update,
-        }
+        found: dict[str, Any] = {"`learning_rate`": self.learning_rate}
+        if self._method is not None:
+            found = {f"The method {self._method.data.owner}": self._method.step_size or self._method.rule}
+        found["`exploration_schedule`"] = self.exploration_schedule  # type: ignore[attr-defined]
+        found[f"The update of {type(self).__name__}"] = self.choices.update
         named = [name for name, function in found.items() if callable(function) and not is_own(function)]
         return " or ".join(named) or self.own_functions()
 

@@ -5,7 +5,6 @@ import json
 import runpy
 import shutil
 import sys
-import traceback
 from collections.abc import Callable
 from functools import partial
 from math import sqrt
@@ -29,7 +28,7 @@ from sb3_adaptive_q import search_space
 from sb3_adaptive_q.algorithms.registry import ALGORITHMS
 from sb3_adaptive_q.callbacks import method as make_method
 from sb3_adaptive_q.hyperparameters import tensorboard_outputs
-from sb3_adaptive_q.output import spell_out_what_cannot_be_written
+from sb3_adaptive_q.output import locate, spell_out_what_cannot_be_written
 from sb3_adaptive_q.step_sizes import STEP_SIZES
 from sb3_adaptive_q.vec_env import CompiledVecEnv, LeanVecEnv
 from sb3_adaptive_q.zoo_runs import FOLDER, plot_training, with_latest_model
@@ -356,11 +355,8 @@ def train(arguments: list[str]) -> None:
         hint = (
             " (values of -params are Python expressions: gamma:0.9, name:\"'text'\")" if isinstance(error, NOT_PYTHON) else ""
         )
-        told: object = error
-        if isinstance(error, LookupError | ArithmeticError):  # whose text says little
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            told = f"{error!r} ({place.filename}, line {place.lineno})"
-        sys.exit(f"error: {told}{hint}")
+        text = locate(error) if isinstance(error, LookupError | ArithmeticError) else error  # whose text alone says little
+        sys.exit(f"error: {text}{hint}")
 
 
 def enjoy(arguments: list[str]) -> None:

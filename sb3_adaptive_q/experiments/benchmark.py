@@ -19,6 +19,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from sb3_adaptive_q import ALGORITHMS, CompiledVecEnv, EpisodeSeriesCallback, TabularAlgorithm, TabularQ, learn_many
+from sb3_adaptive_q.checks import whole_number
+from sb3_adaptive_q.experiments.design import check_options
 from sb3_adaptive_q.experiments.errors import DesignError
 from sb3_adaptive_q.experiments.options import parse, report_errors
 from sb3_adaptive_q.experiments.statistics import bootstrap, interval, mean
@@ -228,6 +230,9 @@ class Options:
     output: Path = Path("docs/benchmark.md")
     runs: int = 10
 
+    def __post_init__(self) -> None:
+        check_options(self, {"runs": whole_number(2)})  # an interval needs two
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """
@@ -237,8 +242,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def benchmark() -> None:
         options = parse(Options, COMMAND, sys.argv[1:] if arguments is None else arguments)
-        if options.runs < 2:
-            raise DesignError(f"--runs must be at least 2, for an interval, but is {options.runs}.")
         if options.output.is_dir() or not options.output.parent.is_dir():
             raise DesignError(f"{options.output} cannot be written: give --output a file in a folder that exists.")
         page = make_page([Task.of(env_id) for env_id in ENVIRONMENTS], options.runs)

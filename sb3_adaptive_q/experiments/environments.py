@@ -11,7 +11,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_adaptive_q import CompiledVecEnv, LeanVecEnv
 from sb3_adaptive_q.envs.catalogue import PROBLEMS
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
-from sb3_adaptive_q.experiments.names import IMPORT_PATH, is_import_path, load_object, told
+from sb3_adaptive_q.experiments.names import IMPORT_PATH, is_import_path, load_object
+from sb3_adaptive_q.output import locate
 from sb3_adaptive_q.wrappers import DiscretizeObservation
 
 #: The bins of the paper's Table 5, for every Cart Pole
@@ -29,12 +30,11 @@ def make_env(name: str, **arguments: Any) -> gym.Env:
     :raises DesignError: if there is no such environment
     """
     if is_import_path(name):
+        make = load_object(name)
         try:
-            env = load_object(name)(**arguments)
-        except DesignError:
-            raise
+            env = make(**arguments)
         except Exception as error:  # a function of the user's may raise anything
-            raise DesignError(f"The environment {name} cannot be made: {told(error)}") from error
+            raise DesignError(f"The environment {name} cannot be made: {locate(error)}") from error
         if not isinstance(env, gym.Env):
             raise DesignError(f"{name} must make a gymnasium environment, but made a {type(env).__name__}.")
     else:

@@ -5,13 +5,13 @@ import importlib
 import inspect
 import os
 import sys
-import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from sb3_adaptive_q import ALGORITHMS, METHODS, STEP_SIZES, LearningRateCallback, method
 from sb3_adaptive_q.experiments.errors import DesignError, unknown_name
+from sb3_adaptive_q.output import locate
 
 IMPORT_PATH = "Something of your own is given as `module:name`."
 
@@ -40,16 +40,7 @@ def load_object(path: str) -> Any:
             f"Cannot import {path!r} ({error}): give `module:name`, with the module in the working directory or installed."
         ) from error
     except (Exception, SystemExit) as error:  # a module of the user's may raise anything
-        raise DesignError(f"Cannot import {path!r}: its module raises {told(error)}.") from error
-
-
-def told(error: BaseException) -> str:
-    """
-    :param error: that a user's code has raised
-    :return: what it is, and where it comes from
-    """
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+        raise DesignError(f"Cannot import {path!r}: its module raises {locate(error)}.") from error
 
 
 def algorithm_class(name: str) -> type[Any]:

@@ -218,14 +218,19 @@ def _check_alone(**even: Any) -> None:
         raise ValueError(f"`edges` alone sets the cells, but got {', '.join(others)} too: give one or the other.")
 
 
-def _per_dimension(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> list[Any]:
-    """Spread a scalar over all dimensions, or check that there is one value for each."""
+def _as_numbers(name: str, value: Any, dtype: type | None = None) -> npt.NDArray[Any]:
     try:
-        values = np.asarray(value.tolist() if isinstance(value, np.ndarray) else value)
-    except ValueError:  # lists of different lengths
-        values = np.asarray(value, dtype=object)
+        values = np.asarray(value.tolist() if isinstance(value, np.ndarray) else value, dtype)
+    except (TypeError, ValueError):  # among others, lists of different lengths
+        values = np.asarray(None)
     if values.dtype.kind not in "buif":
         raise ValueError(f"{name} must be a number or a list of numbers, got {value!r}.")
+    return values
+
+
+def _per_dimension(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> list[Any]:
+    """Spread a scalar over all dimensions, or check that there is one value for each."""
+    values = _as_numbers(name, value)
     size = math.prod(shape)
     if values.ndim == 0:
         return [values.item()] * size
@@ -262,10 +267,7 @@ def _edge_counts(n_edges: int | Sequence[int], shape: tuple[int, ...]) -> list[i
 
 def _bounds(name: str, value: npt.ArrayLike | None, space_bounds: npt.NDArray[Any], counts: list[int]) -> list[float]:
     """Take the given bounds, or those of the space, as Python floats, one per dimension. A dimension left out may have any."""
-    try:
-        given = space_bounds if value is None else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a number or a list of numbers, got {value!r}.") from error
+    given = space_bounds if value is None else _as_numbers(name, value, np.float64)
     bounds = [float(bound) for bound in _per_dimension(name, given, space_bounds.shape)]
     bad = [dimension for dimension, bound in enumerate(bounds) if counts[dimension] and not math.isfinite(bound)]
     if bad:

@@ -51,9 +51,7 @@ def control_judge(recipe: Mapping[str, Any], arguments: dict[str, Any], env: Vec
         def score_of(returns: np.ndarray) -> float:
             return float((returns.mean() - low) / (high - low))
 
-        return Judge(
-            lambda table, step: score_of(play(table)), score_of, (high - low) / (1.0 - gamma) if gamma < 1.0 else np.inf
-        )
+        return Judge(lambda table, step: score_of(play(table)), score_of, _sum_of_all(high - low, gamma))
     greedy = _GreedyReturn(recipe, arguments, env, gamma)
     return Judge(greedy.score, greedy.online, greedy.largest_value)
 
@@ -217,7 +215,12 @@ def largest_value(environment: Any, gamma: float) -> float:
     """
     table = environment.table_at(0)[0] if hasattr(environment, "table_at") else environment.P
     rewards = [abs(reward) for state in _entries(table) for row in _entries(state) for _, _, reward, _ in row]
-    return float(max(rewards)) / (1.0 - gamma) if gamma < 1.0 else np.inf
+    return _sum_of_all(float(max(rewards)), gamma)
+
+
+def _sum_of_all(reward: float, gamma: float) -> float:
+    """The discounted sum of a reward at every step for ever."""
+    return reward / (1.0 - gamma) if gamma < 1.0 else np.inf
 
 
 def _entries(table: Any) -> Any:

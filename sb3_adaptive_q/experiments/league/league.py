@@ -57,7 +57,7 @@ def play(settings: LeagueSettings, track: Track, folder: ResultFolder, execution
     }
     evaluation = _run(settings, track, places, "evaluation", folder, execution)
     if all(len(runs.failures) == len(runs.scores) for runs in evaluation.values()):
-        reason = next(runs.failures[0] for runs in evaluation.values())
+        reason = next(iter(evaluation.values())).failures[0]
         raise ExperimentError(
             f"Every run of track {track.name} failed, so that nothing can be compared. The first one: {reason}"
         )
