@@ -615,6 +615,8 @@ class TestPolicyAlone:
         model.policy.save(tmp_path / "policy.pth")
         theirs, ours = Layered.load(tmp_path / "policy.pth").state_dict(), model.policy.state_dict()
         assert theirs.keys() == ours.keys() > {"layer.weight", "memory_visits"}
+        with pytest.raises(RuntimeError, match=r"Unexpected key.*layer\.weight"):
+            TabularQPolicy.load(tmp_path / "policy.pth")
         assert all(th.equal(theirs[name], ours[name]) for name in ours)
 
     def test_with_other_spaces(self, tmp_path):
