@@ -368,6 +368,17 @@ class TestOneProcess:
         exec("def rule(n): return factorial(n)", scope)
         assert machine_code(scope["rule"], (5,))(5) == 120
 
+    @pytest.mark.parametrize("hold", [lambda value: value, lambda value: (value,), lambda value: {"a": value}])
+    def test_values_that_are_equal_but_not_the_same_are_told_apart(self, hold):
+        scope = {}
+        exec("def rule(mu, step): return HELD", scope)
+        copies = []
+        for value in (0, 0.0, -0.0, False, np.float32(0.0), 0j):
+            scope["HELD"] = hold(value)
+            copies.append(freeze(scope["rule"]))
+            assert copies[-1].__globals__["HELD"] == scope["HELD"]
+        assert len(set(copies)) == 6
+
     def test_values_of_before_stay_in_what_was_compiled_before(self):
         scope = {"RATE": 0.25}
         exec("def rule(mu, step): return RATE", scope)

@@ -33,6 +33,7 @@ _PLAIN = (bool, int, float, complex, str, bytes, np.generic, type(None), type(El
 
 _lock = threading.RLock()
 _being_copied: list[types.FunctionType] = []
+_copies: dict[tuple[Any, ...], types.FunctionType] = {}
 
 
 class CannotFreeze(ValueError):
@@ -69,14 +70,13 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     closure, cell_keys = _freeze_values(dict(zip(original.__code__.co_freevars, contents, strict=True)), names)
     # A function of the user's may look beyond the end of an array. Ours do not, and are slower with checks
     checked = {"boundscheck": (original.__module__ or "").partition(".")[0] != __name__.partition(".")[0]}
-    decides = [
-        checked, bool(config.BOUNDSCHECK), options, original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
+    decides = (
+        *checked.values(), bool(config.BOUNDSCHECK), repr(options), original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
         _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__), text,
-    ]  # fmt: skip
+    )  # fmt: skip
+    if decides in _copies:
+        return _copies[decides]
     name = f"{original.__name__}_{hashlib.sha256(repr(decides).encode()).hexdigest()[:20]}"
-    known = getattr(frozen, name, None)
-    if known is not None:
-        return known
     scope |= {"__name__": frozen.__name__, "__builtins__": original.__globals__.get("__builtins__")}
     copy = types.FunctionType(
         original.__code__, scope, name, original.__defaults__, tuple(map(types.CellType, closure.values()))
@@ -85,10 +85,11 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     copy.__module__, copy.__qualname__ = frozen.__name__, name
     register_jitable(**INLINED, **checked)(copy)
     setattr(frozen, name, copy)
+    _copies[decides] = copy
     return copy
 
 
-def _freeze_values(values: dict[str, Any], names: list[str], module: str = "") -> tuple[dict[str, Any], list[tuple[str, Any]]]:
+def _freeze_values(values: dict[str, Any], names: list[str], module: str = "") -> tuple[dict[str, Any], tuple[Any, ...]]:
     """The values as the copy shall have them, by name, and what tells each from every other. They may be a module's."""
     frozen_values, keys = {}, []
     for name, value in values.items():
@@ -96,7 +97,7 @@ def _freeze_values(values: dict[str, Any], names: list[str], module: str = "") -
         others = [each for each in names if each != name] if module else names
         frozen_values[name], key = _freeze_value(f"{module}.{name}" if module else name, value, others)
         keys.append((name, key))
-    return frozen_values, keys
+    return frozen_values, tuple(keys)
 
 
 def _freeze_value(name: str, value: Any, names: list[str]) -> tuple[Any, Any]:
@@ -158,17 +159,17 @@ def _constants_of(code: types.CodeType) -> list[Any]:
 
 
 def _key(name: str, value: Any) -> Any:
-    """What the compiler freezes of a value, with a ``repr`` that tells it from every other, in every process."""
+    """What the compiler freezes of a value, the same in every process. 1, 1.0 and True differ, and so do 0.0 and -0.0."""
     if isinstance(value, _PLAIN):
-        return type(value).__name__, value
+        return type(value).__name__, repr(value)
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, tuple):
-        return type(value).__name__, getattr(value, "_fields", ()), [_key(name, item) for item in value]
+        return type(value).__name__, repr(getattr(value, "_fields", ())), *[_key(name, item) for item in value]
     if isinstance(value, frozenset):  # its order depends on the seed of hashes
-        return sorted(repr(_key(name, item)) for item in value)
+        return tuple(sorted(repr(_key(name, item)) for item in value))
     if isinstance(value, dict):
-        return [(key, _key(name, item)) for key, item in value.items()]
+        return tuple((repr(key), _key(name, item)) for key, item in value.items())
     if isinstance(value, types.ModuleType):
         return "module", value.__name__
     return _key_of_named(name, value)
@@ -177,9 +178,9 @@ def _key(name: str, value: Any) -> Any:
 def _key_of_named(name: str, value: Any) -> Any:
     """A type or a foreign function: known by what it is called, and by what it holds."""
     if isinstance(value, type) and issubclass(value, Enum):
-        return [(member.name, member.value) for member in value]
+        return tuple((member.name, repr(member.value)) for member in value)
     if isinstance(value, type):
-        return value.__module__, value.__qualname__, getattr(value, "_fields", ())
+        return value.__module__, value.__qualname__, repr(getattr(value, "_fields", ()))
     if isinstance(value, np.ufunc | np.dtype):
         return type(value).__name__, str(value)
     body = getattr(getattr(value, "_dispatcher", None), "py_func", None)

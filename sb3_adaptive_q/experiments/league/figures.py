@@ -28,6 +28,8 @@ from sb3_adaptive_q.plots.style import tidy
 MOST_CURVES = 8
 #: Points in the plane that are as near as this, in pixels, touch
 TOUCHING = 13.0
+#: Panels beside each other
+COLUMNS = 4
 #: Bootstrap samples of the band around a curve
 BAND_RESAMPLES = 300
 
@@ -246,6 +248,8 @@ def sensitivity_figure(track: Track, rule: int, tuning: Places, scale: Sequence[
             axis.plot(x[of_line], runs[of_line].mean(axis=1), marker=".", label=text if k == 0 else None, **style)
             axis.fill_between(x[of_line], *band(draws @ runs[of_line].T), color=style["color"], alpha=0.15, linewidth=0)
         _set_log_axis(axis, x)
+        # All panels have the same values: those of the lowest ones will do
+        axis.tick_params(axis="x", which="both", labelbottom=k + COLUMNS >= len(axes))
     figure.suptitle(contestant.label, fontsize="medium")
     if others:
         figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize="small")
@@ -271,7 +275,7 @@ def _draws(runs: int) -> np.ndarray:
 
 
 def _panels(titles: Sequence[str], xlabel: str, ylabel: str) -> tuple[Figure, list[Axes]]:
-    columns = min(4, len(titles))
+    columns = min(COLUMNS, len(titles))
     rows = -(-len(titles) // columns)
     figure = Figure(figsize=(2.9 * columns, 2.1 * rows + 0.8), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)

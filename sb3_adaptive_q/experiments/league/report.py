@@ -163,7 +163,7 @@ def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed,
     labels = [rule.label for rule in track.contestants]
     matrix = pd.DataFrame([[each.value for each in row] for row in wins], index=labels, columns=labels)
     folder.write(f"tables/{track.name}_wins.csv", matrix.to_csv())
-    pictures = _pictures(analysed, wins)
+    pictures = _pictures(analysed, wins, settings.quick)
     contents = render_all(pictures, workers, "quick look" if settings.quick else "")
     for picture, content in zip(pictures, contents, strict=True):
         path = f"figures/{track.name}_{picture.name}.png"
@@ -172,7 +172,7 @@ def _section(settings: LeagueSettings, folder: ResultFolder, analysed: Analysed,
     return "\n\n".join(part for part in parts if part)
 
 
-def _pictures(analysed: Analysed, wins: list[list[Estimate]]) -> list[Picture]:
+def _pictures(analysed: Analysed, wins: list[list[Estimate]], is_quick: bool) -> list[Picture]:
     track, rows, scores, tuning = analysed.track, analysed.rows, analysed.scores[CHOICES[0]], analysed.played.tuning
     labels = [rule.label for rule in track.contestants]
     pictures = [
@@ -182,7 +182,7 @@ def _pictures(analysed: Analysed, wins: list[list[Estimate]]) -> list[Picture]:
         Picture("wins", "Matrix of wins", partial(wins_figure, rows, labels, wins)),
         Picture("profiles", "Performance profiles", partial(profiles_figure, track, scores, rows)),
     ]
-    if track.name == "algorithms":
+    if is_quick or track.name == "algorithms":  # which tune over few settings: too few for a curve
         return pictures
     scale = prediction_scale(track, tuning) if track.name == "C" else [1.0] * len(track.tasks)
     for i, label in enumerate(labels):

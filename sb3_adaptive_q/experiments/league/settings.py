@@ -117,7 +117,7 @@ class LeagueSettings:
     :param runs: evaluation runs of every rule in every environment
     :param tuning_runs: tuning runs of every setting of a rule, from which its best setting is chosen
     :param quick: a first look: four settings of each rule, 5 tuning runs, 20 evaluation runs, a tenth of the steps and 5
-        checkpoints
+        checkpoints; too little for pictures of scores against parameters
     :param sweep: name=value,value,... sets the values to tune over for a parameter of a rule of your own; can be given several
         times
     :param scale: environment=low,high sets the mean returns of the uniform policy and of a good policy. An environment without
