@@ -1,6 +1,7 @@
 """The commands of the package: ``python -m sb3_adaptive_q COMMAND``, or ``sb3-adaptive-q COMMAND`` once it is installed."""
 
 import importlib
+import os
 import sys
 
 #: For each command: its module, its function, the extra that installs what it needs, and what it does
@@ -40,7 +41,13 @@ def main(arguments: list[str] | None = None) -> None:
             f"error: `{arguments[0]}` needs the package {missing}, which is not installed. Install it with\n"
             f"  pip install 'sb3-adaptive-q[{extra}]'"
         )
-    sys.exit(command(arguments if module == "sb3_adaptive_q.zoo" else arguments[1:]))
+    try:
+        status = command(arguments if module == "sb3_adaptive_q.zoo" else arguments[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # its reader, such as `head`, has seen enough; nothing is left to write when Python ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 1
+    sys.exit(status)
 
 
 def _usage() -> str:

@@ -95,6 +95,8 @@ class TabularExperiment(ExperimentManager):
     def __init__(self, args: argparse.Namespace, algo: str, *arguments: Any, ours: argparse.Namespace, **options: Any) -> None:
         if algo in ALGORITHMS and options["config"] is None:
             options["config"] = str(CONFIG)
+        if args.tensorboard_log and Path(args.tensorboard_log).is_file():
+            raise NotADirectoryError(f"-tb must name a folder, but {args.tensorboard_log} is a file")
         super().__init__(args, algo, *arguments, **options)
         self.ours = ours
         self.resumed = False

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from huggingface_sb3 import EnvironmentName  # type: ignore[import-untyped]
 
+from sb3_adaptive_q.output import locate
+
 #: Where runs are, unless the command line says otherwise
 FOLDER = "logs"
 
@@ -58,6 +60,8 @@ def plot_training(arguments: list[str]) -> None:
             plot_train()
         except OSError as error:
             sys.exit(f"error: {error}")
+        except (AssertionError, LookupError, TypeError, ValueError) as error:
+            sys.exit(f"error: nothing can be plotted with these options and monitor files: {locate(error)}")
     if not plt.gca().lines:
         sys.exit("error: no training there has as many episodes as a point is the mean of: train longer, or give -w a number")
     if ours.output:

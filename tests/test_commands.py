@@ -1,5 +1,6 @@
 """The command line of the package: what it prints without a command, with a wrong one, and where something is missing."""
 
+import subprocess
 import sys
 
 import pytest
@@ -44,3 +45,14 @@ def test_methods_has_no_options(option: str, code: int, capsys: pytest.CaptureFi
         main(["methods", option])
     printed = capsys.readouterr()
     assert stop.value.code == code and "usage: python -m sb3_adaptive_q methods" in printed.out + printed.err
+
+
+def test_a_reader_that_has_seen_enough() -> None:
+    """As `methods | head -1` does, which closes the pipe before all is printed."""
+    with subprocess.Popen(
+        [sys.executable, "-u", "-m", "sb3_adaptive_q", "methods"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1

@@ -84,8 +84,10 @@ class TestPlot:
             ([], "no window can be opened here: name a picture file with -o"),
             (["-o", "p.png"], "as many episodes as a point is the mean of"),
             (["-o", "p.png", "--algo", "sarsa"], "No such file"),
+            (["-o", "p.png", "-w", "0"], "nothing can be plotted with these options and monitor files: ValueError"),
         ],
     )
+    @pytest.mark.filterwarnings("ignore:invalid value encountered", "ignore:Mean of empty slice")
     def test_nothing_to_show(
         self, arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -93,3 +95,9 @@ class TestPlot:
         self.run(tmp_path, [0.0, 2.0])
         with pytest.raises(SystemExit, match=message):
             zoo.main(["plot", "-f", str(tmp_path), *arguments])
+
+    def test_a_damaged_monitor_file(self, tmp_path: Path) -> None:
+        self.run(tmp_path, [0.0, 2.0])
+        (tmp_path / "tabular_q" / "FrozenLake-v1_1" / "0.monitor.csv").write_text("no monitor file\n")
+        with pytest.raises(SystemExit, match=r"nothing can be plotted .*monitor\.py"):
+            zoo.main(["plot", "-f", str(tmp_path), "-o", str(tmp_path / "p.png")])

@@ -153,6 +153,13 @@ def test_summary_without_tensorboard(run: Run, capsys: pytest.CaptureFixture[str
     assert "rollout/" not in output
 
 
+def test_tensorboard_needs_a_folder(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(SystemExit, match="-tb must name a folder, but runs is a file"):
+        run("-tb", "runs")
+    assert not run.path().exists()
+
+
 def test_other_algorithms_still_train(run: Run, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zoo, "N_EVALUATION_EPISODES", 20)
     run("--algo", "a2c", "--env", "CartPole-v1", "-n", "200", "-params", "n_envs:2")

@@ -85,4 +85,4 @@ def _write_runs(settings: LeagueSettings, folder: ResultFolder, played: list[Pla
         for each in played
         for phase, runs in (("tuning", each.tuning), ("evaluation", each.evaluation))
     ]
-    pd.concat(frames, ignore_index=True).to_parquet(folder.path / "runs.parquet", index=False)
+    folder.write("runs.parquet", pd.concat(frames, ignore_index=True).to_parquet(index=False))

@@ -69,7 +69,7 @@ def write_outputs(
 
     results = read_results(folder, cells)
     folder.write("results.csv", results.runs.to_csv(index=False))
-    results.runs.to_parquet(folder.path / "results.parquet", index=False)
+    folder.write("results.parquet", results.runs.to_parquet(index=False))
     tables: dict[int | str, tuple[pd.DataFrame, str]] = {
         number: (table, text) for number, (_, table, text) in q_value_tables(results, settings.gamma).items()
     }
