@@ -388,6 +388,15 @@ class TestLoad:
         TabularQ.load(tmp_path / "model", env=ScriptedEnv(SCRIPT)).learn(4, callback=recorder)
         assert recorder.rates == [0.5, 0.375, 0.25, 0.125, 0.0]
 
+    @pytest.mark.parametrize(("given", "rates"), [(0.25, [0.25] * 5), (halve, [0.5, 0.375, 0.25, 0.125, 0.0])])
+    def test_a_learning_rate_that_was_assigned_since_counts(self, tmp_path, given, rates):
+        model = greedy_on_script(learning_rate=0.125).learn(5)
+        model.learning_rate = given
+        model.save(tmp_path / "model")
+        recorder = Recorder()
+        TabularQ.load(tmp_path / "model", env=ScriptedEnv(SCRIPT)).learn(4, callback=recorder)
+        assert recorder.rates == rates
+
     def test_a_schedule_set_on_the_model_comes_back(self, tmp_path):
         model = greedy_on_script(learning_rate=0.125).learn(5)
         model.lr_schedule = FloatSchedule(halve)
