@@ -1,6 +1,8 @@
 """One cell: it is what TabularQ learns by itself, from a seed of its own, and its file holds all of it."""
 
 import itertools
+import shutil
+import subprocess
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +18,7 @@ from sb3_adaptive_q.experiments import Design, DesignError, ResultFolder
 from sb3_adaptive_q.experiments.cells import Cell, run_cell
 from sb3_adaptive_q.experiments.episodes import NUMBERS, SERIES
 from sb3_adaptive_q.experiments.paper.settings import StudySettings
+from sb3_adaptive_q.experiments import versions
 from sb3_adaptive_q.experiments.versions import everything_of
 from wrappers import DiscretizeObservation
 
@@ -176,3 +179,20 @@ def test_no_changed_bit_goes_unnoticed_into_the_values(folder: ResultFolder, con
 def test_design_that_repeats_a_cell_is_refused() -> None:
     with pytest.raises(DesignError, match="names the same runs twice: Method 1 in FrozenLake-v1"):
         Design(environments=["FrozenLake-v1"], methods=["1", {"name": "1"}], steps=10)  # type: ignore[list-item]
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_the_commit_tells_of_changes_since(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(tmp_path), "-c", "user.name=A", "-c", "user.email=a@b", *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    monkeypatch.setattr(versions, "PACKAGE", tmp_path)
+    assert versions.commit() == ""
+    (tmp_path / "a.py").write_text("A = 1\n")
+    git("init")
+    git("add", "a.py")
+    git("commit", "-m", "Add A", "--no-gpg-sign")
+    assert versions.commit() == git("rev-parse", "--short", "HEAD")
+    (tmp_path / "a.py").write_text("A = 2\n")
+    assert versions.commit() == git("rev-parse", "--short", "HEAD") + "-dirty"

@@ -90,9 +90,10 @@ def everything_of(names: Iterable[str]) -> dict[str, str]:
 
 def commit() -> str:
     """
-    :return: the commit of the package's source, where it is a git repository; else an empty text
+    :return: the commit of the package's source, where it is a git repository, with ``-dirty`` where files differ from it; else
+        an empty text
     """
-    command = ["git", "-C", str(PACKAGE), "rev-parse", "--short", "HEAD"]
+    command = ["git", "-C", str(PACKAGE), "describe", "--always", "--dirty", "--exclude", "*"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):
