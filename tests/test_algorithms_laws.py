@@ -27,7 +27,7 @@ def law(**strategies: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]],
     """Check a property on a dozen examples."""
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
-        return settings(max_examples=15, deadline=None)(given(**strategies)(test))
+        return settings(max_examples=15)(given(**strategies)(test))
 
     return decorate
 

@@ -111,7 +111,7 @@ def test_bootstrap_keeps_the_seeds_of_two_rules_together() -> None:
     numpy_arrays(float, st.tuples(st.integers(1, 4), st.integers(1, 7), st.integers(1, 5)), elements=st.floats(-3.0, 3.0)),
     st.integers(1, 150),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_counted_samples_have_the_aggregates_of_copied_ones(scores: np.ndarray, resamples: int) -> None:
     np.testing.assert_allclose(
         bootstrap_aggregates(scores, resamples), bootstrap(scores, aggregates, resamples), rtol=0.0, atol=1e-12

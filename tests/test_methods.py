@@ -379,7 +379,7 @@ def markov_problems(draw):
 
 
 class TestLaws:
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=150)
     @given(
         problem=markov_problems(),
         number=st.sampled_from(NUMBERS),
@@ -408,7 +408,7 @@ class TestLaws:
         )
         assert_moments_equal(recorder, moments, exactly=True)
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=100)
     @given(here=values, there=values, mu_0=st.floats(0.25, 0.75), pair=st.sampled_from([(5, 6), (7, 8)]))
     def test_methods_mirror_each_other_until_the_clip(self, here, there, mu_0, pair):
         """What one adds to μ the other takes away; it is 0.05 · 4 at most here, too little to reach a bound."""
@@ -421,7 +421,7 @@ class TestLaws:
         assert changes[0] == pytest.approx(-changes[1], abs=1e-15)
         assert changes[0] * (there - here) * (1 if 7 in pair else -1) >= 0.0
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(
         problem=markov_problems(),
         number=st.sampled_from(SELF_ADAPTIVE),
@@ -437,7 +437,7 @@ class TestLaws:
         assert recorder.rates[0] == mu_0
         assert all(bounds[0] <= rate <= bounds[1] for rate in recorder.rates[1:])
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(
         beta_1=st.floats(0.0, 0.5),
         beta_3=st.floats(0.0, 0.5),
@@ -462,7 +462,7 @@ class TestLaws:
         assert np.all(np.diff(falling) <= 1e-15)
         assert np.all(np.diff(growing) >= -1e-15)
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(mu=st.floats(0.0, 1.0), value=values, reward=rewards, best=values)
     def test_an_update_moves_by_the_rates_share_of_the_error(self, mu, value, reward, best):
         """Eq. 2; in particular a rate of 0 leaves the value, and a rate of 1 puts the target in its place."""

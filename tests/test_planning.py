@@ -91,7 +91,7 @@ class TestByHand:
 
 class TestAgainstOtherMethods:
     @given(st.data(), GAMMAS)
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_policy_evaluation_solves_the_linear_equations(self, data, gamma):
         table, start = data.draw(processes())
         policy = data.draw(policies(table))
@@ -100,7 +100,7 @@ class TestAgainstOtherMethods:
         assert expected_return((table, start), policy, gamma) == pytest.approx(start @ expected, abs=1e-10)
 
     @given(st.data(), GAMMAS | st.just(1.0), st.integers(0, 40))
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_a_return_is_the_sum_of_what_the_states_on_the_way_pay(self, data, gamma, horizon):
         """Forward: the distribution of the state after every step."""
         table, start = data.draw(processes())
@@ -114,7 +114,7 @@ class TestAgainstOtherMethods:
         assert start @ policy_evaluation((table, start), policy, gamma, horizon) == pytest.approx(total, abs=1e-11)
 
     @given(processes(), GAMMAS)
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_value_iteration_is_the_best_of_all_policies(self, process, gamma):
         table, start = process
         every = [np.eye(len(table[0]))[list(actions)] for actions in product(range(len(table[0])), repeat=len(table))]
@@ -127,7 +127,7 @@ class TestAgainstOtherMethods:
         assert expected_return((table, [1.0, 0, 0, 0]), [0, 0, 0, 0], horizon=10**6) == 3.0
 
     @given(processes(continuing=True))
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_gain_is_the_mean_over_the_stationary_distribution(self, process):
         """Every action also leads anywhere with a little probability, so that there is one."""
         table, start = process
@@ -165,7 +165,7 @@ class TestAgainstOtherMethods:
 
 class TestLaws:
     @given(st.data(), GAMMAS, st.sampled_from([None, 0, 1, 7]))
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_no_policy_beats_the_optimum(self, data, gamma, horizon):
         process = data.draw(processes())
         policy = data.draw(policies(process[0]))
@@ -176,7 +176,7 @@ class TestLaws:
         assert (values <= best + 1e-10).all()
 
     @given(processes(), GAMMAS)
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_the_optimal_policy_attains_the_optimum(self, process, gamma):
         policy = optimal_policy(process, gamma)
         best = value_iteration(process, gamma)
@@ -184,7 +184,7 @@ class TestLaws:
         np.testing.assert_allclose(action_values(process, best, gamma).max(axis=1), best, rtol=0, atol=1e-10)
 
     @given(processes(), GAMMAS)
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_exploration_costs(self, process, gamma):
         """From the optimum without it down to the uniform policy."""
         values = [epsilon_greedy_optimum(process, epsilon, gamma).values for epsilon in (0.0, 0.3, 1.0)]
@@ -193,7 +193,7 @@ class TestLaws:
         assert (values[0] >= values[1] - 1e-10).all() and (values[1] >= values[2] - 1e-10).all()
 
     @given(processes())
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_actions_are_policies_of_probability_1(self, process):
         actions = np.arange(len(process[0])) % len(process[0][0])
         chosen = epsilon_greedy_policy(actions, 0.0, len(process[0][0]))

@@ -152,7 +152,7 @@ ARGUMENTS = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=max(N_CASES // 5, 10), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=max(N_CASES // 5, 10), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(space=SPACES, n_actions=st.integers(1, 4), start=st.integers(-3, 3), arguments=ARGUMENTS)
 def test_arguments_and_spaces_come_back(tmp_path, space, n_actions, start, arguments):
     """Whatever they are: a model that is saved and loaded is the same, and learns."""

@@ -253,7 +253,7 @@ class TestRulesOfThePaper:
         tie=st.booleans(),
         progress=st.floats(0.0, 1.0),
     )
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     def test_against_the_equations(
         self, number: int, mu: float, values: tuple[float, float], tie: bool, progress: float
     ) -> None:

@@ -41,7 +41,7 @@ def law(**strategies: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]],
     """Check a property on a few dozen examples."""
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
-        return settings(max_examples=25, deadline=None)(given(**strategies)(test))
+        return settings(max_examples=25)(given(**strategies)(test))
 
     return decorate
 

@@ -152,7 +152,7 @@ def draw(table, state, action, generator, n_draws):
 
 class TestDrawing:
     @given(distributions(), NUMBERS)
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     def test_any_number_means_the_outcome_that_it_means_to_gymnasium(self, probabilities, number):
         n = len(probabilities)
         rows = [[(p, i, float(i), False) for i, p in enumerate(probabilities)]]
