@@ -61,8 +61,6 @@ class SavedAsData:
         :raises OSError: if the file cannot be written; an older file of that name is unchanged
         """
         left_out = {*(exclude or ()), *self._excluded_save_params()} - set(include or ())  # type: ignore[attr-defined]
-        if self._learning is None and self.learning_rate != self._known_learning_rate:  # type: ignore[attr-defined]
-            left_out.add("lr_schedule")  # that of the learning rate before, which the next `learn` would replace
         data, arrays = collect(self, left_out | self.built_anew)
         try:
             _check_values({name: tensor.numpy() for name, tensor in self.policy.named_buffers()})  # type: ignore[attr-defined]

@@ -73,8 +73,9 @@ def _encode_attributes(model: Any, left_out: set[str], arrays: dict[str, np.ndar
     encoded, skipped = {}, []
     if "_last_obs" in values:
         values["_last_obs"] = last_observations(model)
-    if encode_schedule(values.get("lr_schedule")) == encode_schedule(FloatSchedule(model.learning_rate)):
-        values.pop("lr_schedule", None)  # it follows from the learning rate
+    follows = encode_schedule(values.get("lr_schedule")) == encode_schedule(FloatSchedule(model.learning_rate))
+    if follows or (model._learning is None and model.is_learning_rate_new):
+        values.pop("lr_schedule", None)  # the learning rate decides it, now or in the next training
     if "policy_class" in values:
         names = [name for name, kind in model.policy_aliases.items() if kind is values["policy_class"]]
         values["policy_class"] = names[0] if names else path_of(values["policy_class"])

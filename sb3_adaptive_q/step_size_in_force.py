@@ -162,13 +162,18 @@ class StepSizeInForce(AlgorithmDeclaration):
 
         return scheduled
 
+    @property
+    def is_learning_rate_new(self) -> bool:
+        """Whether the user has assigned a learning rate since the last training began."""
+        return bool(self.learning_rate != self._known_learning_rate)
+
     def _start_step_size(self, restart: bool) -> None:
         """Set the first μ of a training. This comes before the callbacks, so that one may set another μ."""
         record = self.training.record
         record["holds_mu"] = record["holds_epsilon"] = 0
         if self._own_method() != self._known_method:  # the user has assigned another one since the last training
             self._install_own_method()
-        if self.learning_rate != self._known_learning_rate:  # the user has assigned a new one since the last training
+        if self.is_learning_rate_new:
             self._setup_lr_schedule()  # type: ignore[attr-defined]
             self._known_learning_rate = self.learning_rate
             if self._method is not None:

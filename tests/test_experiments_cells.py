@@ -14,11 +14,10 @@ import pandas as pd
 import pytest
 
 from sb3_adaptive_q import TabularQ
-from sb3_adaptive_q.experiments import Design, DesignError, ResultFolder
+from sb3_adaptive_q.experiments import Design, DesignError, ResultFolder, versions
 from sb3_adaptive_q.experiments.cells import Cell, run_cell
 from sb3_adaptive_q.experiments.episodes import NUMBERS, SERIES
 from sb3_adaptive_q.experiments.paper.settings import StudySettings
-from sb3_adaptive_q.experiments import versions
 from sb3_adaptive_q.experiments.versions import everything_of
 from wrappers import DiscretizeObservation
 

@@ -69,9 +69,9 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     contents = [cell.cell_contents for cell in cells]
     closure, cell_keys = _freeze_values(dict(zip(original.__code__.co_freevars, contents, strict=True)), names)
     # A function of the user's may look beyond the end of an array. Ours do not, and are slower with checks
-    checked = {"boundscheck": (original.__module__ or "").partition(".")[0] != __name__.partition(".")[0]}
+    is_checked = (original.__module__ or "").partition(".")[0] != __name__.partition(".")[0]
     decides = (
-        *checked.values(), bool(config.BOUNDSCHECK), repr(options), original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
+        is_checked, bool(config.BOUNDSCHECK), repr(options), original.__name__, keys, cell_keys,  # type: ignore[attr-defined]
         _key("a default", original.__defaults__), _key("a default", original.__kwdefaults__), text,
     )  # fmt: skip
     if decides in _copies:
@@ -83,7 +83,7 @@ def _copy(original: types.FunctionType, options: list[tuple[str, Any]]) -> types
     )
     copy.__kwdefaults__ = original.__kwdefaults__
     copy.__module__, copy.__qualname__ = frozen.__name__, name
-    register_jitable(**INLINED, **checked)(copy)
+    register_jitable(**INLINED, boundscheck=is_checked)(copy)
     setattr(frozen, name, copy)
     _copies[decides] = copy
     return copy
