@@ -30,6 +30,8 @@ def search(table, state):
     :return: the action of the largest value, the first of them in a tie; that value; and how many actions have it
     """
     row = np.uint64(state)  # unsigned: Numba does not check for negative indices
+    if table.shape[1] == 4:
+        return search_four(table[row, 0], table[row, 1], table[row, 2], table[row, 3])
     best_action, best_value, n_best = 0, table[row, 0], 1
     for action in range(1, table.shape[1]):
         value = table[row, action]
@@ -38,6 +40,15 @@ def search(table, state):
         elif value == best_value:
             n_best += 1
     return best_action, best_value, n_best
+
+
+def search_four(first, second, third, fourth):
+    """As :func:`search`, for the values of four actions, as most grids have them: no comparison waits for two others."""
+    left, right = larger(second, first), larger(fourth, third)
+    best_value = larger(right, left)
+    n_best = int(first == best_value) + int(second == best_value) + int(third == best_value) + int(fourth == best_value)
+    best_of_left, best_of_right = 1 if second > first else 0, 3 if fourth > third else 2
+    return best_of_right if right > left else best_of_left, best_value, n_best
 
 
 def search_wide(table, state):

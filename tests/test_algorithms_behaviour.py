@@ -29,7 +29,17 @@ from sb3_adaptive_q import (
     TabularQ,
 )
 from sb3_adaptive_q.action_masks import make_masked
-from sb3_adaptive_q.behaviour import BEHAVIOURS, EXPLORATIONS, SCHEDULES, TIES, WIDE_BEHAVIOURS, Behaviour, linear, search_wide
+from sb3_adaptive_q.behaviour import (
+    BEHAVIOURS,
+    EXPLORATIONS,
+    SCHEDULES,
+    TIES,
+    WIDE_BEHAVIOURS,
+    Behaviour,
+    linear,
+    search,
+    search_wide,
+)
 from sb3_adaptive_q.compiled.jit import as_python
 from sb3_adaptive_q.random_numbers import uniform
 from sb3_adaptive_q.rollouts import step_rollout
@@ -102,13 +112,15 @@ class TestPolicies:
         assert (action, value) == (allowed.argmax(), allowed.max())
 
 
-@given(
-    st.lists(st.sampled_from([-1.5, -0.0, 0.0, 0.25, 3.0, np.inf, -np.inf]) | st.floats(-1.0, 1.0), min_size=1, max_size=70)
-)
-def test_the_best_of_many_actions(values: list[float]) -> None:
-    """As NumPy finds it, from one action to many."""
+VALUE = st.sampled_from([-1.5, -0.0, 0.0, 0.25, 3.0, np.inf, -np.inf]) | st.floats(-1.0, 1.0)
+
+
+@pytest.mark.parametrize("find", [search, search_wide])
+@given(st.lists(VALUE, min_size=4, max_size=4) | st.lists(VALUE, min_size=1, max_size=70))
+def test_the_best_actions(find: Callable[..., tuple[int, float, int]], values: list[float]) -> None:
+    """As NumPy finds it, from one action to many; four are looked at in a way of their own."""
     row = np.array(values)
-    action, value, n_best = search_wide(np.stack([row - 9.0, row, row + 9.0]), 1)
+    action, value, n_best = find(np.stack([row - 9.0, row, row + 9.0]), 1)
     assert (action, value, n_best) == (row.argmax(), row.max(), np.count_nonzero(row == row.max()))
 
 

@@ -227,7 +227,7 @@ def make_several_loop(  # noqa: C901  # one function of machine code
                         status, culprit = UPDATE_REFUSED, i
                         break
                     now = later
-                    store_transition(envs[i], go_on(t, action))
+                    envs[i].state, envs[i].action = t.start_state, action
             if status != SOUND:
                 break
             pending = False
